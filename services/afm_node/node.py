@@ -92,8 +92,8 @@ class AfmNode(DeviceNode):
     Every command passes the guard (`safety.safety_step`) first, and the node publishes the guarded command and the
     device's actual motion and force. The guard judges the age of the command, by its own time stamp, and the age of the
     hand's sample that it descends from, without the delay that the link adds on purpose. After a stall, the process
-    counts that time as silence, whatever messages wait. A running program (`programs`) moves the tip behind the same
-    guard, and commands only set the pace of the steps.
+    counts that time as silence, even if messages are waiting. A running program (`programs`) moves the tip behind the
+    same guard, and commands only set the pace of the steps.
 
     A command is in force only if the hand was armed in the sample that it descends from; any other one is answered, but
     counts as none. So it makes no difference in which order hand and tip are armed, or by whom.
@@ -290,7 +290,7 @@ class AfmNode(DeviceNode):
         return "; ".join(sentences)
 
     def _led(self, request: InstrumentRequest) -> tuple[Place, list[str]]:
-        """Return the place over the sample that a request leads the tip to, and what is said of it if it is another."""
+        """Return the place over the sample that a request asks for, and a sentence about it if the place is new."""
         before = self._memory.pointer
         place = pointed(self._config, self._driver, request.lateral, before)
         says = f"the tip goes to x = {in_nm(place.x_m)}, y = {in_nm(place.y_m)} while it follows"

@@ -20,7 +20,7 @@ _RAW_S = 3.0
 # The longest part that a page may request sample by sample, to store as a file [s].
 _MOST_RAW_S = 60.0
 _MOST_SPANS = 4000
-# Of a recording longer than this, an outline is read first [s].
+# A recording longer than this is first read in outline [s].
 _LONG_S = 120.0
 # Number of places in the recording from which the outline is made.
 _LOOKS = 240

@@ -33,7 +33,7 @@ NODE_METRICS = (
 )
 
 
-# What a process takes is a sample of one of its nodes, so that a sum counts it once.
+# Figures of a process: only one of its nodes reports them, so that a sum over nodes counts each process once.
 _OF_PROCESS = ("cpu_percent", "memory_bytes")
 _MATES = "shares_with"
 

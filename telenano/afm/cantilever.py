@@ -155,7 +155,7 @@ def step(plant: Plant, state: PlantState, inputs: PlantInputs, dt: float) -> tup
 
     The force of the sample is that of the cantilever, k zeta, which in equilibrium is F(h). A rising surface acts on
     the tip like a base that comes nearer, and the electrostatic force F_el of a voltage like a base that is nearer by
-    -F_el / k. Position and F_el are iterated. F_el grows as the tip comes nearer, so the iteration goes one way only:
+    -F_el / k. Position and F_el are iterated. F_el grows as the tip comes nearer, so the iteration is monotonic:
     to the next equilibrium or, where there is none, to pull-in.
     """
     k, pull_m, strength = plant.stiffness_n_per_m, 0.0, 0.0

@@ -8,9 +8,9 @@ height s of the surface under the tip, Eq. 4 reads
 A step is a Strang splitting: half an impulse of the tip-sample force, the exact motion of the driven damped spring
 without it, the other half. The free motion (amplitude, phase, Q) is thus exact at any step, however stiff or lightly
 damped the spring is. Only the force has an error, second order in the step: the impulse of a step of dt misses dt^3/12
-of the second derivative of the force along the way. Where the tip meets the sample a step is therefore halved until
-this error, times the greatest speed of the tip, stays below its share of TOLERANCE_J; away from the sample FAR_STEPS
-are taken at once. Where the force jumps inside a step (a meniscus forms or breaks, printed contact), the time of the
+of the second derivative of the force along the path. Near the sample a step is therefore halved until this error,
+times the greatest speed of the tip, stays below its share of TOLERANCE_J; away from the sample FAR_STEPS steps are
+computed as one. Where the force jumps inside a step (a meniscus forms or breaks, printed contact), the time of the
 crossing is found and the impulse corrected to second order: otherwise the energy lost in a cycle would depend on the
 grid.
 
@@ -261,7 +261,7 @@ def _viscous_change(
 
 @always_compiled
 def _way_m(passages: Passages, h: float, contact: bool, meniscus: bool) -> float:
-    """Return the longest way [m] of a part of a step from h [m]: a share of the distance to the next jump."""
+    """Return the longest path [m] of one part of a step from h [m]: a share of the distance to the next jump."""
     jump = passages.end_m if contact else passages.onset_m
     bridge = passages.breaks_m if meniscus else passages.forms_m
     return max(_LOOK_AHEAD * min(abs(h - jump), abs(h - bridge)), _LEAST_WAY_M)
@@ -275,7 +275,7 @@ def _level(flows: npt.NDArray[np.float64], change: float, speed: float, way_m: f
         flows: The table `flows` of `Finer`.
         change: Second derivative of the force in time [N/s^2].
         speed: Speed of the tip against the sample [m/s].
-        way_m: Longest way of the tip in one part [m].
+        way_m: Longest path of the tip in one part [m].
         bound: Upper bound of `change` times the square of the duration [N].
         part: Position within the step, in shortest parts; a part begins at a multiple of its own length.
     """
@@ -321,9 +321,9 @@ def _corrected(
 ) -> tuple[float, float, float]:
     """Return the correction for a jump of the force, or of its gradient, inside a step: impulse, shift, work [J].
 
-    The half impulses count the jump for half of the step, but it acts from the crossing on. start_m is the way of the
-    step at its initial speed; with both ends it gives the time of the crossing to second order. Impulse and shift [N]
-    become a velocity and a way when multiplied by dt / m and dt^2 / m.
+    The half impulses count the jump for half of the step, but it acts from the crossing on. start_m is the motion of
+    the step at its initial speed; with both ends it gives the time of the crossing to second order. Impulse and shift
+    [N] become a velocity and a distance when multiplied by dt / m and dt^2 / m.
     """
     way = after_m - before_m
     if way == 0.0:

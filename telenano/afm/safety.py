@@ -28,9 +28,9 @@ the base move towards the sample by itself, as far as `place_m`; this motion is 
 - at `speed_m_per_s` to its rest point (z = 0), but no nearer than a clearance in front of the surface it last met;
 - if the place lies further, from there at the speed of the paper's approach (Fig. 12), until the tip feels the sample.
 
-Another command ends a way; a hand that moves or presses also ends one to a stated place. The base then stays where it
-is (`ended`). A place that is not finite means the position of the hand, as at the start of a session: the base goes
-there and moves with the hand.
+Another command ends this motion; if its target is a stated place, so does a hand that moves or presses. The base then
+stays where it is (`ended`). A place that is not finite means the position of the hand, as at the start of a session:
+the base goes there and moves with the hand.
 
 The law sees the base without the offset, so that the offset looks to it like a sample that lies deeper by as much. The
 references of a program (`of_hand` false) are positions of the base, without an offset.
@@ -382,7 +382,7 @@ def _ending(state: SafetyState, inputs: SafetyInputs) -> int:
 
 @compiled
 def _way(params: SafetyParams, state: SafetyState, inputs: SafetyInputs, dt: float) -> tuple[float, int]:
-    """Return the offset [m] of this tick of a way, and the end of the way (ENDED_*, NOT_ENDED)."""
+    """Return the offset [m] at this tick of a motion to a place, and how that ended (ENDED_*, NOT_ENDED)."""
     reference, offset = inputs.reference_m, state.offset_m
     goal = 0.0
     if math.isfinite(state.place_m):

@@ -77,7 +77,7 @@ class SessionSeries:
     states: TipStates | None = None
 
     def tip_path(self) -> TipPath:
-        """Return the path of the tip while the hand moves it, and on the way back after a guard withdrew it.
+        """Return the path of the tip while the hand moves it, and on its return after a guard withdrew it.
 
         It leaves out the lowering of the tip to the hand, and a withdrawal beyond the greatest distance under the hand.
         """

@@ -11,7 +11,7 @@ _IN_STEP = 8
 
 
 class ForwardedMessage(NamedTuple):
-    """A message that left the link at a time [ns]: the bytes of its publisher, with bits flipped on the way."""
+    """A message that left the link at a time [ns]: the bytes of its publisher, with bits flipped by the link."""
 
     topic: str
     payload: bytes

@@ -168,8 +168,8 @@ class Session:
         """Return the parts of the age of each answered sample of the hand [s], by name; empty with too few samples.
 
         A sample is followed by its own stamp, which every message that descends from it carries. A sample that is
-        conflated on the way has no answer, and does not count. Stamps of the slave are converted to the master's clock;
-        an error of that makes one way longer and the other shorter, but does not change the sum.
+        conflated before it arrives has no answer, and does not count. Stamps of the slave are converted to the master's
+        clock; an error of that makes one direction longer and the other shorter, but does not change the sum.
 
         Args:
             recording: The master's recording of the session.

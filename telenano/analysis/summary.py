@@ -119,7 +119,7 @@ class HoldSummary(_Part):
     )
     coupled_share: float = Field(
         default=1.0,
-        description="Share of the hold in which hand and tip were both in it: both sent samples, the motor of the hand "
+        description="Share of the hold in which hand and tip were coupled: both sent samples, the motor of the hand "
         "was on, and the tip followed, 0..1; a hold with less than half is `guarded` unless its motion shows more",
     )
 

@@ -21,6 +21,7 @@ from telenano.runtime.bus.local_endpoint import (
     base_directory,
     folder_identity,
     is_rig_name,
+    kept_stop_path,
     path_of,
     rigs_with_folders,
 )
@@ -183,7 +184,7 @@ def _runs(request: EstopRequest, name: str, seen: Look) -> bool:
 
 
 def _reached(request: EstopRequest, name: str, seen: Look) -> tuple[LocalRig, Reach]:
-    """Return a rig on this machine with its endpoints, and the ways to its devices."""
+    """Return a rig on this machine with its endpoints, and the paths to its devices."""
     before = os.environ.get(RIG_VARIABLE, "")
     os.environ[RIG_VARIABLE] = name
     try:
@@ -197,7 +198,7 @@ def _reached(request: EstopRequest, name: str, seen: Look) -> tuple[LocalRig, Re
 
 
 def _stop_rig(request: EstopRequest, name: str, seen: Look, show: Callable[[Answer], None]) -> dict[str, Answer]:
-    """Stop the devices of one rig by every way that there is, and return their answers by node."""
+    """Stop the devices of one rig by every available path, and return their answers by node."""
     os.environ[RIG_VARIABLE] = name
     site_file = request.site_file or (TWO_SITES_FILE if request.site else DEFAULT_SITE_FILE)
     rig, reach = _reached(request, name, seen)
@@ -226,7 +227,9 @@ def _stop_directly(rig: LocalRig, reach: Reach, target: str, on_answer: Callable
         text = absence_text(rig.seen, map(path_of, rig.endpoints.values()), "telenano estop")
         raise RigError(f"no device of the site file was found here: {text}")
     for device in reach.absent:
-        sys.stderr.write(f"telenano: {device} does not run\n")
+        is_kept = kept_stop_path(rig.endpoints[device]).exists()
+        kept = ": the stop is kept, and it will start in emergency stop" if is_kept else ""
+        sys.stderr.write(f"telenano: {device} is not running{kept}\n")
     for device in reach.unknown:
         sys.stderr.write(f"telenano: whether {device} runs is not known here: {rig.seen.blind}\n")
 

@@ -16,7 +16,7 @@ from telenano.launcher.rig_status import node_facts
 from telenano.launcher.session import SessionNode
 
 _REFRESH_TICKS = 5
-# A line repeats what is still waited for at this interval [ns].
+# Interval of the lines that name the nodes still awaited [ns].
 _REMIND_NS = 5_000_000_000
 _REPORTS_SHOWN = 6
 _COLUMNS = ("state", "rate Hz", "late p99 ms", "input age ms", "lost", "refused", "CPU %", "MB")

@@ -50,7 +50,7 @@ def _check(name: str, text: str, *, is_folder: bool, is_read: bool) -> None:
         if error.errno in _NO_WAY:
             raise TelenanoError(f"{text}: cannot be reached, as {name} asks: {error.strerror}") from error
         return
-    # A command that reads a folder knows best what a file in its place is, and what to advise.
+    # A command that reads a folder can say best why a file is given instead, and what to do.
     if is_folder and not stat.S_ISDIR(mode) and not (is_read and stat.S_ISREG(mode)):
         what = "file" if stat.S_ISREG(mode) else "pipe, socket or device"
         raise TelenanoError(f"{text}: cannot be the folder of {name}: it is a {what}: {os.strerror(errno.ENOTDIR)}")

@@ -24,7 +24,7 @@ def counts_text(counts: Mapping[str, int]) -> str:
     return ", ".join(f"{name} {count}" for name, count in counts.items()) or "0"
 
 
-# Stands for what is told of the process already, with another node of it.
+# Text of a cell whose figure is shown at another node of the same process.
 _SHARED = "shared"
 
 
@@ -36,7 +36,7 @@ def health_cells(facts: Mapping[str, Any]) -> dict[str, Text]:
 
     late_s, age_s = facts["lateness_p99_s"], facts["oldest_input_s"]
     minutes, seconds = divmod(round(facts["uptime_s"]), 60)
-    # What a process takes stands with one of its nodes.
+    # The figures of a process are shown at one of its nodes.
     counts = counts_for_process(facts["node"], facts["shares_with"])
     style = "" if counts else "dim"
     granted = [name for name, key in (("fifo", "realtime"), ("memory", "memory_locked")) if facts[key]]

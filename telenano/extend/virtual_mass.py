@@ -244,7 +244,7 @@ class AtHand(NamedTuple):
 def at_hand(
     params: Any, hand: HandSample, signal: PortSignal, was_coupled: bool, stood_s: float, dt: float, bridges: bool
 ) -> AtHand:
-    """Decide what the master half may do, in all cases of arming, return, silence, and a device off or restarting.
+    """Decide whether the master half acts, stands or waits: when armed, returning, unanswered, or with its device off.
 
     After arming and after an interruption the same condition applies: the tip follows, its answer is recent, and the
     device follows. Earlier knowledge is never a reason to act.
@@ -288,7 +288,7 @@ class AtTip(NamedTuple):
 
 @compiled
 def at_tip(params: Any, signal: PortSignal, tip: TipMeasurement, position_m: float, was_coupled: bool) -> AtTip:
-    """Decide what the slave half may do.
+    """Decide whether the hand leads the base, or the base goes to a stated position, as `AtTip`.
 
     Args:
         params: Parameters with `silence_limit_s` [s].

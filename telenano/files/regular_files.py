@@ -1,4 +1,4 @@
-"""The only way to open a file that a person names: it must be a regular file of bounded size.
+"""Opening of files that a person names, all through this module: only regular files of bounded size are opened.
 
 A pipe without a writer would block its reader for ever, a device may be endless or act when it is opened, and a file of
 many gigabytes would fill the memory before its content could be checked.

@@ -67,7 +67,7 @@ _BYTES_PER_S = {"zstd": 600_000, "lz4": 1_200_000, "none": 3_500_000}
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a session ended.
+    """The end of a session.
 
     `recordings`: the files of the session in the order of their numbers, empty if none can be read on this machine;
     `note` then has the reason and their place. `restarts`: number of restarts of each own node. `missing`: a sentence

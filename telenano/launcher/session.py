@@ -170,7 +170,7 @@ class SessionNode(RigNode):
 
     def report(self, level: str, text: str, **data: Scalar) -> None:
         super().report(level, text, **data)
-        # A launcher does not receive what it publishes.
+        # A launcher does not receive its own messages.
         if self._commands is not None and "exit_code" in data:
             self._commands.note_end(str(data.get("about_node", "")), text)
 

@@ -3,8 +3,8 @@
 The fate of a message depends on its number and time of sending, not on its content. The hand sends at every tick and
 the slave answers every received signal at once, so the link's own engine (`DirectionEngine.fates`) can compute both
 directions in advance, and the loop only merges arrivals. Readers use only the newest message: overtaken and repeated
-ones are dropped here, as on the bus. Of messages that arrive together, at the end of a slot or of an outage that holds
-them, the loop uses the newest one that was sent, and there is one answer to all of them.
+ones are dropped here, as on the bus. Among messages that arrive together, at the end of a slot or of an outage that
+holds them, the loop uses the newest one that was sent, and there is one answer to all of them.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""The runtime that all processes share: bus, loop, security, and the way from a command line to a running node."""
+"""The runtime that all processes share: bus, loop, security, and the start of a node from a command line."""
 
 from typing import TYPE_CHECKING
 

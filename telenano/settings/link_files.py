@@ -41,18 +41,18 @@ class TraceFile(NamedTuple):
 class Traces:
     """Reads the files that settings name, when they are asked for.
 
-    A subclass may keep what it has read, and read in another process once the link runs (`begin`).
+    A subclass may cache the files, and read them in another process once the link runs (`begin`).
     """
 
     def begin(self) -> None:
-        """Read in another process from now on, where a subclass can."""
+        """Read in another process from now on, if the subclass can."""
 
     def read(self, file: TraceFile) -> Columns:
         """Return the columns of a file.
 
         Raises:
             ConfigError: The file cannot be used; the message names file and line.
-            LaterError: The file is being read, and has to be asked for again.
+            LaterError: The file is still being read; call again later.
         """
         return read_columns(file.path, file.kind, file.name, by_number=file.by_number, unit_s=file.unit_s)
 
@@ -60,10 +60,10 @@ class Traces:
         """Forget the files that were not asked for since the last call."""
 
     def close(self) -> None:
-        """End what is being read."""
+        """Cancel reads under way."""
 
 
-# It keeps nothing, so that all may share it.
+# It has no state, so all callers can share it.
 OWN_TRACES = Traces()
 
 

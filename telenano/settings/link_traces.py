@@ -77,7 +77,7 @@ def read_columns(
 
     Args:
         path: The file.
-        kind: What it is.
+        kind: Its kind, which determines the columns.
         name: Its name in errors.
         by_number: Whether the first column of a delay or loss trace counts messages.
         unit_s: The unit of the times of a delivery trace [s].

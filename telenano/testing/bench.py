@@ -116,7 +116,7 @@ def haptic_device_of(section: Any = None) -> Any:
 
 
 def haptic_node(bench: NodeBench, driver: Any, section: Any = None) -> Any:
-    """Return the haptic node with an opened driver, instead of the driver that the section names.
+    """Return the haptic node on this driver, which the node opens, instead of the driver that the section names.
 
     Raises:
         DeviceError: The driver refuses to open.

@@ -127,11 +127,11 @@ def simulate(
     recording, which is the same to the bit for the same seed, on any processor.
 
     Args:
-        scenario: A known name or a YAML file. What the other arguments leave out is as in it.
+        scenario: A known name or a YAML file; it applies where no other argument is given.
         law: The name of a law.
         round_trip_ms: The round trip (RTT) of the link [ms]: its delay, or latency, half of it each way.
         environment: The sample, as `afm_node.environment`.
-        instrument: What disturbs the AFM: ideal, real or real_drifting.
+        instrument: The disturbances of the AFM: ideal, real or real_drifting.
         operator: The hand, as the section `haptic_node.operator`.
         duration_s: The length of the session [s].
         settings: Values by dotted key of the scenario, such as {"controller.virtual_impedance.force_gain": 10}.

@@ -1,4 +1,4 @@
-"""Wave variables with both ends matched: nothing echoes, and what a guard of energy cuts is made up for.
+"""Wave variables with both ends matched: no wave is reflected, and motion that the energy guard cut is restored.
 
     u = (b v + F) / sqrt(2 b)   towards the tip,   w = (b v - F) / sqrt(2 b)   back,   F v = u^2 / 2 - w^2 / 2
 

@@ -147,7 +147,7 @@ def paid_base(
     """Return the new reference of the base [m], as far as the energy covers the whole motion to it.
 
     The motion includes commands that a late instrument has not carried out yet. Retraction of a tip in the air needs no
-    energy, because nothing is in its way.
+    energy, because nothing opposes it.
 
     Args:
         params: The scales.

@@ -5,9 +5,9 @@ up or down the slope needs the horizontal force
 
     T = (L sin theta +- mu (L cos theta + A)) / (cos theta -+ mu sin theta)
 
-(D. F. Ogletree, R. W. Carpick, M. Salmeron, Rev. Sci. Instrum. 67 (1996) 3298, Eq. 7: upper signs uphill). Of it L tan
-theta belongs to the slope alone. The rest is the limit of friction: below it the tip sticks and the cantilever's
-lateral stiffness takes up the motion of the stage, at it the tip slips; so a reversal is a slanted line of the loop.
+(D. F. Ogletree, R. W. Carpick, M. Salmeron, Rev. Sci. Instrum. 67 (1996) 3298, Eq. 7: upper signs uphill). The slope
+alone needs L tan theta; the rest is the limit of friction. Below the limit the tip sticks and the cantilever bends
+sideways with the stage; at the limit the tip slips. A reversal is therefore a slanted line in the friction loop.
 """
 
 import math

@@ -139,7 +139,7 @@ def send_command(
 
 
 def _way_back(answers: Iterable[SessionEvent]) -> str:
-    """Return a sentence on how the tip can go back, if an instrument states its way; else empty."""
+    """Return a sentence on how the tip can go back, if the instrument states a place; else empty."""
     for event in answers:
         keys = ("return_place_m", "return_speed_m_per_s", "return_s")
         place, speed, time_s = (event.data.get(key) for key in keys)

@@ -31,7 +31,7 @@ LARGEST_FRAME = 16 * MAX_MESSAGE_BYTES
 _RECONNECT_MS = 50
 # A node checks its deadline again after this many messages, so that a flood cannot block a loop.
 _BATCH = 256
-# A message has two frames. Of a longer one, at most this number of frames is read per turn; those of the first turn are
+# A message has two frames. A longer one is read in turns of at most this number of frames; those of the first turn are
 # rejected as one message, and the rest is dropped.
 _MOST_FRAMES = 1000
 # After this many messages in one turn, a reader receives without first polling the socket, because more are likely.

@@ -50,7 +50,7 @@ class Wiring(Participant):
     scenario_file: Path
 
     def traces(self) -> Traces:
-        """Return what reads the files of the link: in a child process once it has begun."""
+        """Return the reader of the files that the link names; once begun, it reads in a child process."""
         return TraceReader()
 
 

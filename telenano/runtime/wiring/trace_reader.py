@@ -15,7 +15,7 @@ _READ = "telenano.settings.link_traces:columns_in_child"
 
 
 class _Known(NamedTuple):
-    """What is known of a file: its state when it was read, and its columns or the reason why there are none."""
+    """A file that was read: its state at that time, and its columns or, in `fault`, the reason why there are none."""
 
     state: tuple[int, int, int]
     columns: Columns

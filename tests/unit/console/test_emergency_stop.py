@@ -217,7 +217,8 @@ def test_a_device_that_does_not_run_is_named_and_the_other_one_stopped(
     run(LINK, TIP)
     tip = run(TIP)
     assert run_estop(EstopRequest(site_file=site_file)) == 0
-    assert capsys.readouterr() == (f"{TIP} ack: stopped\n", f"telenano: {HAND} does not run\n")
+    said = f"telenano: {HAND} is not running: the stop is kept, and it will start in emergency stop\n"
+    assert capsys.readouterr() == (f"{TIP} ack: stopped\n", said)
     assert tip.taken
 
 

@@ -100,7 +100,7 @@ def stretched(port: Port, way_m: float) -> Port:
 
 
 def counted(params: Params, port: Port, place_m: float, work_j: float, *, counts: bool) -> Port:
-    """Take up where the port is, and the work that came in on the way; the spring's end goes along."""
+    """Continue at the port's position with the work done meanwhile, or else move the spring's end along."""
     k = params.stiffness_n_per_m
     # a change of stiffness keeps the energy of the spring
     port = port._replace(stretch_m=port.stretch_m * math.sqrt(port.stiffness / k), stiffness=k)

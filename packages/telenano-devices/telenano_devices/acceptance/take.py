@@ -35,7 +35,7 @@ class Step(NamedTuple):
 
 
 class EndedError(Exception):
-    """The person has ended the motion, in the way that the message states."""
+    """The person has ended the motion; the message says how."""
 
 
 class Guide(NamedTuple):

@@ -53,7 +53,7 @@ class ArmInfo(msgspec.Struct, frozen=True):
 
 
 class ArmConfig(msgspec.Struct, frozen=True):
-    """The additional content of a full message."""
+    """Type, model and firmware of an Inverse3, which only a full message contains."""
 
     type: str = "inverse3"
     device_info: ArmInfo = ArmInfo()

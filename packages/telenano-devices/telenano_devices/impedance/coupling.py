@@ -63,7 +63,7 @@ class CouplingSettings(NamedTuple):
     max_force_n, max_slew_n_per_s: limits of the magnitude of the force vector and of its change. velocity_filter_hz:
     f_c [Hz], 0 for none. silence_s: longest age of command or reading [s]. deadman_age_s: longest age of a report of
     the dead-man button [s]; a grip reports at some 50 Hz and falls asleep when it is left. rest_s: time for which the
-    hand has to stay within rest_m [m] before there is force. jump_m: a step longer than this plus the way at 2 m/s is
+    hand has to stay within rest_m [m] before there is force. jump_m: a step longer than this plus the path at 2 m/s is
     no motion of a hand [m]. frozen_s: longest time for which the position may be exactly the same while the force has
     changed by frozen_force_n [s]; 0 for no limit. runaway_m_per_s: speed against more than half of the greatest force
     that no hand reaches, but a device that pushes the wrong way soon does. extrapolation_s: longest time by which a

@@ -1,8 +1,8 @@
 r"""Read force curves and force volumes of Bruker's NanoScope; called in a child process with limits.
 
 A header has lines `\Key: value` in sections `\*Name`; the integers follow at the offset that each list of samples
-states. The deflection is the channel of `\@4:Z scale`, whose number in brackets is the volts per step. Both ways are
-stored from the sample away; the ramp of the piezo has even steps. A sensitivity without a unit is in nm/V. Captured
+states. The deflection is the channel of `\@4:Z scale`, whose number in brackets is the volts per step. Both branches
+are stored from the sample away; the ramp of the piezo has even steps. A sensitivity without a unit is in nm/V. Captured
 PeakForce curves follow a sine and are refused.
 """
 

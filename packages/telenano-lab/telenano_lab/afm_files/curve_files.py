@@ -96,7 +96,7 @@ def load_curves(path: str, stiffness: str | None, sensitivity: str | None, table
 
 
 def _in_order(way: Way) -> Way:
-    """Return the finite points of a way in order of height, interpolated if they are more than MOST_POINTS."""
+    """Return the finite points of a branch in order of height, interpolated if they are more than MOST_POINTS."""
     sound = np.isfinite(way[0]) & np.isfinite(way[1])
     order = np.argsort(way[0][sound], kind="stable")
     z, value = way[0][sound][order], way[1][sound][order]

@@ -98,7 +98,7 @@ def unit_of(name: str) -> str:
 
 
 def backward_of(name: str) -> str:
-    """Return the name of the column that holds the way back of a column."""
+    """Return the name of the column with the backward sweep of a column."""
     return re.sub(r" \(", " [bwd] (", name)
 
 
@@ -123,6 +123,6 @@ def curves_of(path: str) -> Curves:
     if backward_of(name) in columns:
         ways.append((height[::-1], columns[backward_of(name)][::-1]))
     if height[-1] > height[0]:
-        # The sweep goes away from the sample, so the way back is the approach.
+        # The sweep leads away from the sample, so the backward sweep is the approach.
         ways = ways[::-1]
     return Curves((1, 1), (0.0, 0.0), iter([(lambda: RecordedCurve((0, 0), tuple(ways), unit_of(name)), 1.0)]))

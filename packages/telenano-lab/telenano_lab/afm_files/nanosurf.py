@@ -2,8 +2,8 @@
 
 A .nid consists of sections of `key=value`, the bytes `#!`, and then the integers of each data set in the order of the
 section `DataSet`; the full range of an integer spans `Dim2Min` to `Dim2Min + Dim2Range`. Curves are stored towards the
-sample, also those of the way back, and those of a map in rows that go back and forth. A .nhf is HDF5 with the range of
-each signal as attributes; its reader was written without a real file at hand.
+sample, also those of the retraction, and those of a map in rows that go back and forth. A .nhf is HDF5 with the range
+of each signal as attributes; its reader was written without a real file at hand.
 """
 
 import re

@@ -1,7 +1,7 @@
 """Read force curves from text tables: a height and a force or a deflection, in the units that the header names.
 
 One pair of columns holds the approach, followed by the retraction where the height turns; two pairs hold one each. A
-curve of one way counts as both, and pauses of the height are dropped. Columns are chosen by their names first
+curve of one branch counts as both, and pauses of the height are dropped. Columns are chosen by their names first
 (`telenano.files.role_of`), then by their units; ambiguous columns are refused, naming the option that chooses. The
 values tell at which end the sample is: there the force differs most from that of the free lever, and it is positive.
 For a curve without a free lever this is a guess, and the remarks say so.
@@ -28,11 +28,11 @@ _THERE_AND_BACK = tuple(
 )
 _VALUES = ("N", "m", "V")
 _FEWEST_POINTS = 16
-# Least correlation of the deflections of both ways over the same heights.
+# Least correlation of the deflections of both branches over the same heights.
 _TOGETHER = 0.5
 # Share of the points at each end of a curve that decides whether the sample is there.
 _END = 0.1
-# A way covers at least this share of the whole span.
+# A branch covers at least this share of the whole span.
 _WAY = 0.3
 # At least this number of rows, and this share of them, at one extreme value mean a saturated detector.
 _FEWEST_AT_END = 5
@@ -122,7 +122,7 @@ def curves_of(path: str, options: TableOptions = NOTHING) -> Curves:
 def is_of_other_columns(path: str) -> bool:
     """Return whether a text is not of NT-MDT: it has named columns, or three unnamed ones that do not belong together.
 
-    A text of NT-MDT has a height and the deflections of both ways, of one lever over the same heights.
+    A text of NT-MDT has a height and the deflections of both branches, of one lever over the same heights.
     """
     try:
         columns = TextTable.read(Path(path)).columns
@@ -321,13 +321,13 @@ def _at_an_end(value: Array, free: float) -> list[str]:
 
 
 def _parted(height: Array, value: Array, remarks: list[str]) -> list[Way]:
-    """Return the first two ways of a course that cover much of its span; remarks gains the rows that are dropped."""
+    """Return the first two branches that cover much of the span; remarks gains the rows that are dropped."""
     parts = parts_of(height)
     span = float(np.ptp(height))
     moving = [part for part in parts if part.direction and np.ptp(height[part.rows]) > _WAY * span]
     joined = [moving[0]] if moving else []
     for part in moving[1:]:
-        # A pause within a way does not end it.
+        # A pause within a branch does not end it.
         if part.direction == joined[-1].direction and _goes_on(height, joined[-1].end, part):
             joined[-1] = joined[-1]._replace(end=part.end)
         else:
@@ -352,5 +352,5 @@ def _parted(height: Array, value: Array, remarks: list[str]) -> list[Way]:
 
 
 def _goes_on(height: Array, end: int, part: Any) -> bool:
-    """Return whether a part of a way begins near the end of the one before it."""
+    """Return whether a part of a branch begins near the end of the part before it."""
     return abs(float(height[part.start] - height[end - 1])) < _END * float(np.ptp(height))

@@ -1,8 +1,8 @@
-"""Plan an assembly: assign particles to targets, order the pushes, and find their ways.
+"""Plan an assembly: assign particles to targets, order the pushes, and find their paths.
 
-Targets are assigned so that the sum of the squared distances is least. A way leads around the other particles, each
+Targets are assigned so that the sum of the squared distances is least. A path leads around the other particles, each
 enlarged by the room that the pushed one and the tip need, along the corners of the polygons around them; it is the
-shortest path in the graph of all corners that see each other. A particle whose target is still occupied, or whose way
+shortest path in the graph of all corners that see each other. A particle whose target is still occupied, or whose path
 is blocked by another that has yet to move, waits; if all wait for each other, one goes to a parking place first.
 """
 
@@ -27,7 +27,7 @@ _CORNERS = 12
 
 
 class Task(NamedTuple):
-    """A push: number of the particle, and its way from start to end with the corners between [m].
+    """A push: number of the particle, and its path from start to end with the corners between [m].
 
     target: the number of the target, -1 for a parking place.
     """
@@ -42,7 +42,7 @@ class Task(NamedTuple):
 
 
 class UnreachableError(ConfigError):
-    """A target that no way leads to, or that cannot be used; the message names it."""
+    """A target without a free path, or that cannot be used; the message names it."""
 
 
 def assigned(places: npt.ArrayLike, targets: npt.ArrayLike) -> list[int]:
@@ -77,7 +77,7 @@ def require_room(targets: Sequence[Point], clearance_m: float) -> None:
 
 
 def way_around(start: Point, goal: Point, obstacles: list[Point], clearance_m: float) -> tuple[Point, ...] | None:
-    """Return the shortest way from start to goal that keeps clearance_m [m] from each obstacle; None if there is none.
+    """Return the shortest path from start to goal that keeps clearance_m [m] from each obstacle; None if there is none.
 
     Obstacles within that distance of the start are ignored.
     """
@@ -110,7 +110,7 @@ def way_around(start: Point, goal: Point, obstacles: list[Point], clearance_m: f
 
 
 def _is_clear(a: Point, b: Point, obstacles: list[Point], clearance_m: float) -> bool:
-    """Return whether a straight way keeps its distance from all obstacles."""
+    """Return whether a straight path keeps its distance from all obstacles."""
     dx, dy = b[0] - a[0], b[1] - a[1]
     squared = dx * dx + dy * dy
     for x, y in obstacles:

@@ -2,9 +2,9 @@
 
 It perceives the answers of the instrument, the place of the tip and the lateral force, and acts on them a reaction time
 later, with errors of sight and touch and a tremor. It moves behind the believed place of the particle, pushes it, turns
-it towards the goal (`steering`), slows down before the goal, and stops there. If the force vanishes on the way it has
-lost the particle, and moves behind it again. After stopping it waits for the effect of its last motion, and corrects
-the place if the remaining distance exceeds its tolerance.
+it towards the goal (`steering`), slows down before the goal, and stops there. If the force vanishes before the goal, it
+has lost the particle, and moves behind it again. After stopping it waits for the effect of its last motion, and
+corrects the place if the remaining distance exceeds its tolerance.
 """
 
 import math

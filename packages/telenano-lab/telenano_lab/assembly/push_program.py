@@ -1,4 +1,4 @@
-"""A program that pushes a particle from one place to another: the tip moves behind it, down to the surface, and on.
+"""A program that pushes a particle to a goal: the tip goes behind the particle, touches the surface, and pushes.
 
 The program knows only the believed place of the particle and its radius. The tip comes down behind it until it touches
 the surface, rises to the height of the push, and moves on. The lateral force F on the tip tells the rest: the particle
@@ -6,8 +6,8 @@ lies in the direction -F at the distance d (that of the axes of a tip and a sphe
 
 - *straight*: along the line from the believed place to the goal. A particle that lies beside it slips off.
 - *steered*: the tip turns the particle towards the goal (`telenano_lab.assembly.particles.steering`).
-- *sweep*: lines across the way, each nearer to the goal than the last by a share of d; a lateral offset of the
-  particle does not matter.
+- *sweep*: lines at right angles to the push, each nearer to the goal than the last by a share of d, so that a
+  lateral offset of the particle does not matter.
 """
 
 import math
@@ -48,7 +48,7 @@ PASSED = "the particle has passed its goal"
 
 # The approach point lies this many d behind the believed place.
 _BEHIND = 1.3
-# A push is given up if its way exceeds the planned one by this factor.
+# A push is given up if its path is longer than planned by this factor.
 _LONGEST = 1.5
 # The particle is lost when the lateral force stays below this share of its plateau.
 _LOST_SHARE = 0.3
@@ -58,11 +58,11 @@ _LOST_WAY = 0.05
 _LOST_RAD = math.radians(75.0)
 # The plateau and the direction of the force are means over this share of d.
 _MEAN_WAY = 0.02
-# A lateral force is a contact above this number of standard deviations of the noise on the way.
+# A lateral force is a contact above this number of standard deviations of the noise before it.
 _CONTACT_DEVIATIONS = 3.0
 # The force has to be that high for this number of steps.
 _CONTACT_STEPS = 3
-# The forces on the way are averaged over this number of steps before a contact counts.
+# The forces before a contact are averaged over this number of steps before a contact counts.
 _QUIET_STEPS = 10
 # A contact also exceeds the deviations by this force, so that a noise of zero leaves a threshold.
 _LEAST_N = 1e-11
@@ -118,11 +118,13 @@ class PushPlan(NamedTuple):
 class PushState(NamedTuple):
     """Phase, time in it [s], base at the touch [m]; the felt forces, and the believed place of the particle.
 
-    gone_m: way of the tip in the push [m]. force_x_n, force_y_n: mean lateral force [N]; plateau_n: its mean size since
-    contact; peak_n: the largest. quiet: count, mean along x and y [N], and sum of squared deviations of the lateral
-    force before contact, which is the reading of the channel without a particle: crosstalk, friction of the tip, noise.
-    That mean is subtracted from all other forces. steps: steps above the threshold; faint_m: way without force. line:
-    index of the line of a sweep. why: reason of the end. aside_rad: angle from the motion of the tip to the particle.
+    gone_m: path of the tip in the push [m]. force_x_n, force_y_n: mean lateral force [N]; plateau_n: its mean size
+    since contact; peak_n: the largest. quiet: count, mean along x and y [N], and sum of squared deviations of the
+    lateral force before contact, which is the reading of the channel without a particle: crosstalk, friction of the
+    tip, noise.
+    That mean is subtracted from all other forces. steps: steps above the threshold; faint_m: path without force [m].
+    line: index of the line of a sweep. why: reason of the end. aside_rad: angle from the motion of the tip to the
+    particle.
     """
 
     phase: int
@@ -341,7 +343,7 @@ def _onwards(plan: PushPlan, state: PushState, dt: float) -> tuple[PushState, Pl
 
 
 def _swept(plan: PushPlan, state: PushState, bearing: float, step_m: float) -> tuple[PushState, Place]:
-    """Continue along a line across the way; at its end, change to the next line."""
+    """Continue along a line across the push; at its end, change to the next line."""
     d = plan.distance_m
     along, across = state.line * plan.settings.pitch * d, (-1.0 if state.line % 2 else 1.0) * _HALF_LINE * d
     end = _beyond(_beyond(plan.start, bearing, along), bearing + 0.5 * math.pi, across)

@@ -180,7 +180,7 @@ class ProgramBench(ABC):
             "scan.dwell_s": max(sides_m[0] / pixels / self._scan_m_per_s, 2e-3),
         }
         for number, height_m in self.lines(keys):
-            # A tip that descends behind a particle lags, one that climbs does not: the lower of both ways is right.
+            # A tip that descends behind a particle lags and one that climbs does not: the lower trace is right.
             rows[number] = np.minimum(rows[number], height_m)
         return Look(np.where(np.isfinite(rows), rows, np.nan), middle, sides_m, began_s, self.time_s)
 
@@ -302,7 +302,7 @@ class Assembler:
         """Assemble the particles and return the outcome.
 
         Raises:
-            UnreachableError: There are too few particles, or no way leads to a target.
+            UnreachableError: There are too few particles, or no path leads to a target.
         """
         before = self._whole()
         self._tell(f"{len(self._known)} particles were found")
@@ -330,7 +330,7 @@ class Assembler:
         return planned(places, self._targets, _room_m(radius, reach), DONE_SHARE * radius, half, self._fixed)
 
     def _carry_out(self, task: Task) -> bool:
-        """Push a particle along its way; return whether the plan still holds."""
+        """Push a particle along its path; return whether the plan still holds."""
         if not self._look_at(task.particle):
             return self._lost()
         for corner in task.way[1:]:

@@ -78,7 +78,7 @@ def sensitivity(
     figure: FigureOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Find the deflection per volt: the slope of way over voltage in contact with a hard sample, with its error.
+    """Find the deflection per volt: the slope of height over voltage in contact with a hard sample, with its error.
 
     It uses the approach, and prints which parts of the curve it leaves out.
     """

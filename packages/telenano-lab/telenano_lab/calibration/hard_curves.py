@@ -1,7 +1,7 @@
 """The sensitivity of a read-out from a curve on a hard sample: find its parts, and check the line of contact.
 
 The displacement may rise towards the sample or away from it: the end at which the lever is free tells. Of the parts in
-which the base moves the approach is used; pauses, other ways and rows beside the line are left out and named. The
+which the base moves the approach is used; pauses, other branches and rows beside the line are left out and named. The
 residuals about the line are compared with the noise between neighbouring rows. A line that is bent by more than noise
 is refused, because a soft sample, a creeping piezo and a saturating detector bend it alike.
 """
@@ -30,9 +30,9 @@ _M_PER_V = (5e-10, 2e-5)
 _WAY_NM = (5.0, 1e5)
 _FEWEST_ROWS = 16
 _FEWEST_POINTS = 8
-# A part that covers less than this share of the span is no way of its own.
+# A part that covers less than this share of the span is no branch.
 _WAY = 0.3
-# The lever is assumed to be free over this share of a way at its far end.
+# The lever is assumed to be free over this share of a branch at its far end.
 _FREE = 0.15
 # A line is bent if the slopes of its ends differ by more than this share and this number of errors.
 _BENT = 0.02
@@ -169,7 +169,7 @@ def _first_of(*lists: list[Column]) -> list[Column]:
 
 
 def _of_approach(found: list[Column]) -> list[Column]:
-    """Reduce columns of both ways to that of the approach, if exactly one is named so."""
+    """Reduce columns of both branches to that of the approach, if exactly one is named so."""
     there = [
         one for one in found if re.search(r"(?i)(?:^|[\W_])(?:ex|ext|extend|approach|trace|fwd)(?:$|[\W_])", one.title)
     ]

@@ -427,9 +427,9 @@ def _check_condition(plan: Plan, task: str, condition: Condition, scenario: Mapp
 
 
 def _of_scenario(plan: Plan, scenario: Mapping[str, Any], complaints: set[str]) -> str:
-    """Return what is wrong with the base scenario alone if all of it is among complaints about a condition.
+    """Return the errors of the base scenario if they explain the complaints about a condition; otherwise "".
 
-    What is wrong there is said of that file, because the plan has no such key.
+    Such an error names the scenario file, because the plan has no such key.
     """
     origin = f"{plan.path}: scenario: {plan.scenario_file}"
     try:
@@ -440,7 +440,7 @@ def _of_scenario(plan: Plan, scenario: Mapping[str, Any], complaints: set[str]) 
 
 
 def _complaints(error: ConfigError, origin: str) -> set[str]:
-    """Return what an error says of each key, without the file."""
+    """Return the lines of an error, one per key, without the name of the file."""
     return {line.removeprefix(f"{origin}: ") for line in str(error).splitlines()}
 
 

@@ -21,7 +21,7 @@ from telenano_lab.experiments.psychophysics.methods import Method, replay
 from telenano_lab.experiments.types import Trial, TrialOutcome
 
 _PACKAGES = ("telenano", "numpy", "numba", "scipy")
-# What of a trial in the journal decides whether it is over; the tables need more, and not all of these.
+# Fields of a trial in the journal that decide whether it is over; the tables use other fields as well.
 _OUTCOME = ("index", "attempt", "status", "final")
 
 

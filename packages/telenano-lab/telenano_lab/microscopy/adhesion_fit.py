@@ -30,7 +30,7 @@ Array = npt.NDArray[np.float64]
 
 # The contact is thinned to this number of points.
 _MOST_POINTS = 200
-# The way from the sample after the contact is thinned to this number of points.
+# The retraction after the contact is thinned to this number of points.
 _MOST_FREE_POINTS = 400
 # The fit needs this number of points in contact before the pull-off.
 _LEAST_POINTS = 12
@@ -45,7 +45,7 @@ _RADII_M = (1e-10, 1e-4)
 _WORKS_J_PER_M2 = (1e-6, 10.0)
 # A fit this near to a bound, as a difference of logarithms, counts as ended there.
 _AT_BOUND = 0.02
-# Free of force is this share of the way after the last jump, at its end; nearer to the sample the tip is attracted.
+# Share of the retraction after the last jump, at its end, that is free of force; nearer, the tip is attracted.
 _FREE_SHARE = 0.6
 # The fit with the estimated noise ends after at most this number of steps.
 _MOST_STEPS = 24

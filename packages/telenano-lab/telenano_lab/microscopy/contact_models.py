@@ -88,7 +88,7 @@ def _base(contact: Contact, s: float) -> tuple[float, float]:
 
 @compiled
 def end_of(contact: Contact) -> float:
-    """Return the s at which the contact ends on the way back: 0, or for JKR the end of its equilibria."""
+    """Return the s at which the contact ends on retraction: 0, or for JKR the end of its equilibria."""
     if contact.model != 3 or not contact.pull_off_n > 0.0:
         return 0.0
     # The upper bound is s at the greatest pull; under controlled displacement the contact ends below it.
@@ -120,7 +120,7 @@ def _cube_root(value: float) -> float:
 def forces(contact: Contact, touch_m: float, base_m: Array, out_n: Array, depth_m: Array) -> None:
     """Fill the forces [N] and indentations [m] at places of the base [m]; before the touch both are 0.
 
-    An adhesive contact is followed on its way back to its end. Beyond that the force falls quadratically from the end,
+    An adhesive contact is followed on retraction to its end. Beyond that the force falls quadratically from the end,
     so that a fit whose contact ends before that of the curve is led back without an edge.
     """
     k, count = contact.stiffness_n_per_m, base_m.shape[0]

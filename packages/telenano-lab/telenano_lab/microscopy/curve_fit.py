@@ -32,11 +32,11 @@ from telenano_lab.microscopy.correlated_noise import RATIOS, Noise, correlated_n
 
 Array = npt.NDArray[np.float64]
 
-# Neighbouring points of a way are averaged until at most this number of points is left.
+# Neighbouring points of a branch are averaged until at most this number of points is left.
 _MOST_POINTS = 256
 # A fit needs at least this number of points in contact, and as many away from the sample.
 _LEAST_POINTS = 10
-# Until the contact is known, this share of the way, at its end away from the sample, counts as free of force.
+# Until the contact is known, this share of a branch, at its end away from the sample, counts as free of force.
 _FREE_SHARE = 0.25
 # This share of the contact before the pull-off is left out: it may end a little earlier or later than in the model.
 _LEFT_OUT = 0.03
@@ -57,7 +57,7 @@ _FLAT_SHARE = 0.05
 _NOISE_STEPS = 6
 # Averaging over neighbours reduces the white noise and leaves the correlated noise, so greater ratios are possible.
 _OF_AVERAGES = (*RATIOS, 300.0, 1000.0)
-# Number of contact points along the way that are tried as the start of a fit.
+# Number of contact points along the branch that are tried as the start of a fit.
 _STARTS = 80
 
 
@@ -153,7 +153,10 @@ class CurveFit(NamedTuple):
 
 
 class _Way(NamedTuple):
-    """Points of a way in the order of time: base towards the sample [m], force [N], index; raw points per mean."""
+    """One branch of a curve, approach or retraction, in the order of time, averaged over `over` raw points each.
+
+    base_m: position of the base towards the sample [m]; force_n: force [N]; place: index in the raw branch.
+    """
 
     base_m: Array
     force_n: Array
@@ -269,7 +272,7 @@ def _fitted(curve: MeasuredWays, shape: ContactShape) -> CurveFit:
 
 
 def _way(height_m: Array, force_n: Array, name: str) -> _Way:
-    """Return a way in the order of time, averaged over neighbours; height_m rises away from the sample."""
+    """Return a branch in the order of time, averaged over neighbours; height_m rises away from the sample."""
     sound = np.isfinite(height_m) & np.isfinite(force_n)
     base, force = -height_m[sound], force_n[sound]
     if len(base) < 4 * _LEAST_POINTS:
@@ -300,7 +303,7 @@ def _line(x: Array, y: Array) -> tuple[float, float, float]:
 
 
 def _free_end(way: _Way, *, turned: bool) -> tuple[float, float]:
-    """Return the zero of the force and its noise [N], from the end of a way that is away from the sample.
+    """Return the zero of the force and its noise [N], from the end of a branch that is away from the sample.
 
     turned: True for a retraction, whose free end comes last.
     """
@@ -490,7 +493,7 @@ def _start(
 def _start_of_jkr(
     radius_m: float, k: float, pull_n: float, top: tuple[float, float], low_m: float
 ) -> tuple[float, float]:
-    """Return E* [Pa] and touch [m] for which the model's way from the pull-off, at low_m, to the top is as measured."""
+    """Return E* [Pa] and touch [m] for which the model moves as far from pull-off, at low_m, to top as measured."""
     top_m, top_n = top
 
     def bases(modulus: float) -> tuple[float, float]:
@@ -572,7 +575,7 @@ def _slopes(
     moved = free.copy()
     for column in range(which.shape[0]):
         one = int(which[column])
-        # The touch is a share of the whole way.
+        # The touch is a share of the whole branch.
         step = 1e-6 if one == 0 else 1e-5
         moved[one] = free[one] + step
         _predict(problem, moved, base_m, touching, ahead, depth)
@@ -645,7 +648,7 @@ def _descend(
             allowed = positive
             for row in range(width):
                 one = int(which[row])
-                # A step is limited: a logarithm to a factor of e, the touch to a fifth of the way.
+                # A step is limited: a logarithm to a factor of e, the touch to a fifth of the branch.
                 most = 0.2 if one == 0 else 1.0
                 moved[one] += min(max(step[row], -most), most)
             allowed = allowed and _is_of_a_sample(moved)
@@ -700,7 +703,7 @@ def _well_on_branch(
 
 
 def _end_of(problem: _Problem, free: Array) -> float:
-    """Return the place of the base at which the fitted contact ends on the way back [m]."""
+    """Return the place of the base at which the fitted contact ends on retraction [m]."""
     contact = compiled_form(_contact)(problem, free)
     depth, force, _, _ = at(contact, compiled_form(end_of)(contact))
     return float(free[0]) * problem.length_scale_m + depth + force / problem.stiffness_n_per_m

@@ -1,9 +1,9 @@
 """Force curves: approach and retraction of the simulated tip, the points C and D of Fig. 5, and the energy of the loop.
 
 "The tip contacts with the sample at the point C and leaves it at D during retracting" (section 3 of the paper). C is
-the snap-in, where the tip jumps to the sample or to its water layer. D is the last jump of the force on the way back,
+the snap-in, where the tip jumps to the sample or to its water layer. D is the last jump of the force on retraction,
 where the meniscus breaks, or, where nothing jumps, the pull-off. Two more places are marked that the paper does not
-name: the pull-off, which is the strongest pull on the way back, and the place where the force passes zero on that way.
+name: the pull-off, which is the strongest pull on retraction, and the place where the force passes zero there.
 """
 
 import json
@@ -23,7 +23,7 @@ from telenano.wire import ConfigError, RigError
 
 Array = npt.NDArray[np.float64]
 
-# A step of the force on the way back counts as the break only above this share of the greatest step.
+# A step of the force on retraction counts as the break only above this share of the greatest step.
 _JUMP_SHARE = 0.5
 # Constants that a file of a curve may lack.
 CONSTANTS = ("stiffness_n_per_m", "sensitivity_m_per_v")
@@ -37,7 +37,7 @@ _SPEED_M_PER_S = 200e-9
 
 @dataclass(frozen=True)
 class Half:
-    """One way of a curve in the order of time: base x_s towards the sample [m], deflection [m], tip force [N]."""
+    """One branch of a curve in the order of time: base x_s towards the sample [m], deflection [m], tip force [N]."""
 
     base_m: Array
     deflection_m: Array
@@ -61,8 +61,8 @@ class Curve:
 class Marks:
     """Base x_s [m] and force [N] of each mark, and the energy of the loop [J]; None where a curve has no such point.
 
-    snap_in: C of Fig. 5; break: the last jump of the way back; contact: the place where the force passes zero on that
-    way; pull_off: the strongest pull.
+    snap_in: C of Fig. 5; break: the last jump of the retraction; contact: the place where its force passes zero;
+    pull_off: its strongest pull.
     """
 
     snap_in_base_m: float | None
@@ -96,7 +96,7 @@ def force_curve(
         config: The instrument.
         start_m: Height of the beginning above the rest point [m].
         load_n: Force at which the base turns [N].
-        points: Number of points of each way.
+        points: Number of points of each branch.
         speed_m_per_s: Speed of the base [m/s].
         dynamic: Whether Eq. 4 is solved in full instead of k zeta = F(h). The base then rests at each point until the
             cantilever has come to rest, and the speed only sets the times in the data.
@@ -143,7 +143,7 @@ def curve_of_samples(
     """Return the curve in the samples of an instrument that went down from start_m [m] and back at a speed [m/s].
 
     Samples before the base went down and after it was back are dropped, and so are those in which it did not move.
-    RigError is raised if either way has fewer than 10 samples.
+    RigError is raised if either branch has fewer than 10 samples.
     """
     base, zeta, force = (np.asarray(values, dtype=np.float64) for values in (base_m, deflection_m, force_n))
     turn = int(np.argmax(base)) if len(base) else 0
@@ -228,7 +228,7 @@ def marks_of(curve: Curve) -> Marks:
     jumps = np.diff(up.force_n[pull:])
     large = np.flatnonzero(jumps > _JUMP_SHARE * float(jumps.max())) if len(jumps) else np.zeros(0, int)
     broken = len(large) > 0 and _is_jump(jumps, int(large[-1]))
-    # The loop integral over both ways is the work of the base on the cantilever that it does not get back.
+    # The loop integral over both branches is the work of the base on the cantilever that it does not get back.
     loop = float(np.trapezoid(down.force_n, down.base_m) + np.trapezoid(up.force_n, up.base_m))
     return Marks(
         float(down.base_m[snap]) if has_snap else None,

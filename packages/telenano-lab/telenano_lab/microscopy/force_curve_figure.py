@@ -69,5 +69,5 @@ def _draw_fit(fit: AdhesionFit, above: Axes, below: Axes) -> None:
 
 
 def _force_at(half: Half, base_m: float | None) -> float | None:
-    """Return the force [N] at the point of a way that is nearest to a base [m]."""
+    """Return the force [N] at the point of a branch that is nearest to a base [m]."""
     return None if base_m is None else float(half.force_n[int(np.argmin(np.abs(half.base_m - base_m)))])

@@ -108,7 +108,7 @@ class LiveImage:
 
 
 def images_of_lines(image: LiveImage, count: int) -> dict[str, Image]:
-    """Return the channels of the first `count` lines of an image, all of which must be complete both ways."""
+    """Return the channels of the first `count` lines of an image, whose trace and retrace must be complete."""
 
     def named(title: str, unit: str, values: npt.NDArray[np.float64]) -> Image:
         return Image(title, unit, values, image.width_m, depth_m, image.partial)

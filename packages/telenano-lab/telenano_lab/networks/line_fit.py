@@ -49,9 +49,9 @@ _LEAST_SPREAD = 0.02
 _ASSUMED_SPREAD = 0.1
 # A smaller share of overtaking is due to the clock.
 _MOST_OVERTAKEN = 1e-3
-# The messages that a line holds while it stands still. No log of a few messages a second shows the number.
+# Messages that a stalled line holds back. A log of a few messages per second cannot show the number.
 MOST_HELD = 20_000
-# The bytes that a line holds while it stands still.
+# Bytes that a stalled line holds back.
 MOST_HELD_BYTES = 4 << 20
 # The statistics of the model are taken from this number of generated logs.
 _DRAWS = 25
@@ -366,9 +366,9 @@ def courses(log: LineLog) -> dict[str, float]:
 
 
 def _compared_courses(second: LineLog, first: LineLog, draws: Sequence[LineLog]) -> list["Agreement"]:
-    """Return how far the behaviour over seconds agrees: within deviations of the generated values, or nearly equal.
+    """Compare the figures over seconds of a log with those of the model: within its scatter, or nearly equal.
 
-    The draws of the model give the interval, because a bootstrap of blocks of 20 s would cut whatever lasts longer.
+    The interval comes from draws of the model, because a bootstrap of blocks of 20 s would cut longer events.
     """
     rows = []
     measured, other = courses(second), courses(first)

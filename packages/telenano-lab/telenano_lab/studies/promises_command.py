@@ -36,7 +36,7 @@ def promises(
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Try on drawn bad links what the laws promise; exit code 1 where one that promises passivity made energy."""
+    """Try the promises of the laws on random bad links; exit code 1 if a law that promises passivity made energy."""
     with report_errors(as_json, INTERRUPTED):
         with sweep_in(out, workers, None, shown=not as_json) as sweep:
             judged = outcomes(option_values.laws(law), seeds, sweep, burst, uneven=uneven)

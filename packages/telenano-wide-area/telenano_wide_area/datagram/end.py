@@ -196,7 +196,7 @@ class DatagramEnd:
 
     @property
     def receiving(self) -> Way:
-        """The way by which samples are received now."""
+        """The transport by which samples are received now."""
         return self._reception.way
 
     # --- sending ---
@@ -386,10 +386,10 @@ class DatagramEnd:
             way = f"directly to {self._peer[0]} port {self._peer[1]}" if relay.is_direct else "through the relay"
             self._tell("info", f"the link's datagrams to {self.machine} go {way}")
 
-    # --- what is due ---
+    # --- periodic work ---
 
     def maintain(self, now_ns: int) -> None:
-        """Do the due work: exchange keys, send a sign of life, choose the way of receiving, and report."""
+        """Do the due work: exchange keys, send a sign of life, choose the transport to receive by, and report."""
         loss_share = max(self.arrivals.lost / max(1, self.arrivals.settled), self.outgoing.repeats.loss_share)
         notice = self._touch.look(now_ns, arriving=not self._reception.is_silent(now_ns), loss_share=loss_share)
         if notice is not None:

@@ -1,6 +1,6 @@
 """The standing queue of a line in each direction, from exchanges of four time stamps between two clocks that drift.
 
-With the times t1 to t4 of `clock_offset`, the way there seems to take f = t2 - t1 and the way back b = t4 - t3. Each
+With the times t1 to t4 of `clock_offset`, the question seems to take f = t2 - t1 and the answer b = t4 - t3. Each
 contains the offset of the clocks, which drifts: f rises as b falls. A queue can only add to f or b. So every f bounds
 the offset from above and every -b from below, and the two lines that touch these bounds from inside, by which clocks
 are compared (`telenano.timing.clock_fit`), are the delays of the empty line.

@@ -11,8 +11,8 @@ from telenano_wide_area.datagram.rate import WARN_QUEUE_NS, Delivery, PathEstima
 from telenano_wide_area.datagram.sealing import OVERHEAD_BYTES
 from telenano_wide_area.settings import DatagramSettings
 
-# At least this number of samples is sent in a second, however full the line is and whatever the other end reports of
-# it: a reader takes a silence of 50 ms for a loss.
+# Least rate of samples, kept even if the line is full and the other end reports losses, because a reader takes a
+# silence of 50 ms for a loss.
 LEAST_HZ = 50.0
 # Over a full line a report of the law is sent with a sample, at this interval at the shortest [ns].
 _REPORTS_NS = 100_000_000

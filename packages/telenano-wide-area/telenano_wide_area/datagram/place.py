@@ -11,7 +11,7 @@ Address = tuple[Any, ...]
 class Place(NamedTuple):
     """The address that an end binds, and that of the other end: None until a datagram of it has arrived.
 
-    `relay`: the way to the other end if both ends can only dial out.
+    `relay`: the path to the other end if both ends can only dial out.
     """
 
     family: socket.AddressFamily

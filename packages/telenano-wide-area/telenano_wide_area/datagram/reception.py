@@ -42,7 +42,7 @@ Way = Literal["datagram", "stream"]
 
 
 class Reception:
-    """The way of receiving, and the topics that are subscribed over TCP for it."""
+    """The transport to receive by, and the topics that are subscribed over TCP for it."""
 
     def __init__(
         self,
@@ -153,7 +153,7 @@ class Reception:
         self._next_reminder_ns = now_ns
 
     def choose(self, now_ns: int, why: str) -> None:
-        """Choose the way of receiving; called some twenty times a second.
+        """Choose the transport to receive by; called some twenty times a second.
 
         Args:
             now_ns: The time now [ns].

@@ -29,20 +29,20 @@ Send = Callable[[bytes, Address], None]
 TAG_BYTES = 4
 # Requests are sent at this interval until both ends have places, and while no sample arrives.
 _ASK_NS = 200_000_000
-# Requests are sent at this interval afterwards: they keep the way through the routers open, and show when the relay has
-# forgotten the place.
+# Requests are sent at this interval afterwards: they keep the path through the routers open, and show when the relay
+# has forgotten the place.
 _CALM_ASK_NS = 2_000_000_000
 # The other end counts as silent after this time without a sample.
 _SILENCE_NS = 150_000_000
-# Pings are sent at this interval on the direct way, and for _EAGER_NS after a change.
+# Pings are sent at this interval on the direct path, and for _EAGER_NS after a change.
 _PING_NS = 100_000_000
 # Pings are sent at this interval otherwise.
 _CALM_PING_NS = 5_000_000_000
 # Pings stay frequent for this time after a change.
 _EAGER_NS = 5_000_000_000
-# A direct way without samples is given up after this time without an answer.
+# A direct path without samples is given up after this time without an answer.
 _UNANSWERED_NS = 300_000_000
-# A direct way with samples is given up after this time without an answer.
+# A direct path with samples is given up after this time without an answer.
 _LOST_NS = 2_000_000_000
 _PING_BYTES = 8
 # Answers to this number of the newest pings are accepted.
@@ -50,7 +50,7 @@ _REMEMBERED_PINGS = 16
 
 
 class RelayPath:
-    """The way of one end; `peer` is the address to send to now, None before the relay has given a place."""
+    """The path of the datagrams of one end; `peer` is the address to send to, None before the relay gives a place."""
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class RelayPath:
             peer_keys: The keys that this machine shares with the other machine.
             own_public: The public key of this machine, 32 bytes.
             peer_public: The public key of the other machine, 32 bytes.
-            direct: Whether the direct way is tried; the relay then tells the other end the address of this one.
+            direct: Whether the direct path is tried; the relay then tells the other end the address of this one.
         """
         # The kernel drops datagrams without a known tag, so control datagrams for this end begin with this one.
         self.tag = os.urandom(TAG_BYTES)
@@ -96,7 +96,7 @@ class RelayPath:
         return self.peer is not None and self.peer != self.relay
 
     def maintain(self, now_ns: int, silence_ns: int) -> None:
-        """Ask for a place, try the direct way, and give it up if nothing is answered there.
+        """Ask for a place, try the direct path, and give it up if no answer comes there.
 
         Args:
             now_ns: The time now [ns].

@@ -227,7 +227,7 @@ class Relay:
         now_s = asyncio.get_running_loop().time()
         return self._budgets.setdefault((kind, key), Budget(self._bytes_per_s, burst, now_s))
 
-    # --- what a site wants ---
+    # --- requests of a site ---
 
     async def _answer(self, site: Site, request: dict[str, Any]) -> None:
         wants = {"site": self._be_site, "open": self._open_stream, "accept": self._accept_stream, "look": self._look}

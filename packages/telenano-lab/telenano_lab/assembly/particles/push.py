@@ -330,7 +330,7 @@ def push_step(
         fixed: Constants of each particle, shape (n, 4).
         moving: State of each particle, shape (n, 3); not modified, and returned as it is if no particle is near or
             moving.
-        way: Start and end of the stage, x0, y0, x1, y1 [m].
+        way: Start and end of the motion of the stage, x0, y0, x1, y1 [m].
         heights: Height of the apex on substrate or spring without particles [m], and its height without any force [m].
         dt: The time of the step [s].
     """

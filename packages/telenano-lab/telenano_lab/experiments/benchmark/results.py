@@ -162,7 +162,7 @@ def _made_energy(outcome: Outcome) -> bool:
 
 
 def makes_energy(least_energy_mj: float | None) -> bool:
-    """Return whether the loop of a run made energy beyond rounding; None is a run without that measure."""
+    """Return whether the loop of a run generated energy beyond rounding; None is a run without that measure."""
     return (least_energy_mj or 0.0) < LEAST_MJ
 
 

@@ -4,10 +4,10 @@
 
 y is the displacement of the body from its place L [m], and k the stiffness of the cantilever. It is a part that
 replaces cantilever and sample. Time is discrete as in the arm of `telenano.hand.operator`: every quantity is taken at
-the middle of the step, and the force is the mean of the contact spring over its way, (V(z1) - V(z0)) / (z1 - z0). Force
-times motion of the base is then exactly the energy that goes into springs, mass and damper: the body is passive at
-every period. The body must swing more slowly than FASTEST_HZ in contact, so that the period of the instrument can show
-its motion.
+the middle of the step, and the force is the mean of the contact spring over its path, (V(z1) - V(z0)) / (z1 - z0).
+Force times motion of the base is then exactly the energy that goes into springs, mass and damper: the body is passive
+at every period. The body must swing more slowly than FASTEST_HZ in contact, so that the period of the instrument can
+show its motion.
 """
 
 import math

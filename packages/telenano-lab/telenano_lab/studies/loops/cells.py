@@ -55,7 +55,7 @@ WALL_DISTANCE_M = 3e-9
 CANTILEVER_N_PER_M = 40.0
 # The base position at which a steady contact with the sample of Table 2 begins [m].
 _CONTACT_M = 1.05e-8
-# The further way of the base for each newton at the hand [m/N].
+# Further motion of the base for each newton at the hand [m/N].
 _CONTACT_M_PER_N = 0.65e-9
 # The time for which the hand rests before the first ramp [s].
 _QUIET_S = 0.2
@@ -282,7 +282,7 @@ class CellResult:
 
     @property
     def outcome(self) -> str:
-        """The verdict; for a cell that came to rest in a wrong way, the fact that says how."""
+        """The verdict; for a cell that came to rest wrongly, the fact that says how."""
         wrong = next((fact for fact in self.facts if fact in WRONG_RESTS), "stable")
         return wrong if self.verdict == "stable" else self.verdict
 
@@ -427,7 +427,7 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
         (found,) = holds
         facts = tuple(fact.kind for fact in found.facts)
         wrong = next((fact for fact in found.facts if fact.kind in WRONG_RESTS), None)
-        # If a hold rests in a wrong way, that is the reason; the reason of the verdict would only say why it rests.
+        # If a hold rests wrongly, that is the reason; the reason of the verdict would only say why it rests.
         reason = wrong.text if wrong is not None and found.verdict == "stable" else found.reason
         judgement = _Judgement(found.verdict, found.growth_per_s, found.peak_to_peak_n, reason, facts)
     first = int(np.searchsorted(course.time_s, start_s + _TRANSIENT_SHARE * (end_s - start_s)))

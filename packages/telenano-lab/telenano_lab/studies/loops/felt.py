@@ -30,7 +30,7 @@ from telenano_lab.studies.loops.transparency import followed, swing, tone
 # The ranges from which the force and the amplitude of a session are drawn [N].
 _PRESSES_N = (0.8, 1.3)
 _SWINGS_N = (0.2, 0.45)
-# The greatest motion beside swing and trend with which a session has a figure, as a share of the swing (both RMS).
+# A session with more motion than this besides swing and trend gets no figure, as a share of the swing (both RMS).
 _OTHER_MOTION = 0.7
 # The number of digits of a ratio: further digits differ from processor to processor.
 _DIGITS = 6

@@ -27,7 +27,7 @@ _USUAL_OVERHEAD_S = 8.0
 
 
 class TactilePath(NamedTuple):
-    """Fig. 10: way along the line [m], height of the hand [m], surface as the tip sees it [m], time [s], alpha_p."""
+    """Fig. 10: place on the line [m], height of the hand [m], surface as the tip sees it [m], time [s], alpha_p."""
 
     way_m: Array
     hand_m: Array

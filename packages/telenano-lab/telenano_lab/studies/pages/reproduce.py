@@ -21,7 +21,7 @@ from telenano_lab.studies.pages.paper_equations import cantilever_rows, contact_
 
 FIGURES = ("equations", "fig5", "fig6", "models", "fig8", "fig10", "fig12")
 Progress = Callable[[str, int, int], None]
-# With this speed, 1000 points each way are samples of a millisecond [m/s].
+# Speed at which 1000 points of approach and of retraction are one sample per millisecond [m/s].
 _FIG6_SPEED_M_PER_S = 45e-9
 # The paper's statement on each figure, and differences here.
 _BESIDE_THE_PAPER = {
