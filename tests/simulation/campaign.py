@@ -4,6 +4,7 @@ result = tried(Schedule.drawn(7))
 result.breaks
 """
 
+import gc
 import json
 import shutil
 import tempfile
@@ -72,10 +73,23 @@ def tried(schedule: Schedule, *, reports: bool = True) -> Tried:
             found = (Break("goes_on", 0.0, text),)
             return Tried(schedule, found, frozenset(), 0.0, time.process_time() - begun_s, reported=False)
         report(folder, is_made=reports)
-        session = outside_judge.Session(folder)
-        breaks = outside_judge.judged(session)
-        situations = reached.situations(session)
+        with _uncollected():
+            session = outside_judge.Session(folder)
+            breaks = outside_judge.judged(session)
+            situations = reached.situations(session)
     return Tried(schedule, tuple(breaks), situations, session.end_s, time.process_time() - begun_s, reports)
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Let the garbage collector rest while the block makes tens of thousands of records that it keeps."""
+    collects = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if collects:
+            gc.enable()
 
 
 def report(folder: Path, *, is_made: bool = True) -> None:

@@ -4,6 +4,7 @@ If a night of schedules never reaches a situation, the generator is at fault.
 """
 
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from itertools import pairwise
 
 from outside_judge import HAND, LINK, TIP, Fields, Newest, Seen, Session
@@ -44,6 +45,7 @@ def _within(times: list[float], stretches: list[Stretch], late_s: float = 0.0) -
     return any(begin <= at_s <= end + late_s for at_s in times for begin, end in stretches)
 
 
+@lru_cache(maxsize=1)
 def _holds(session: Session) -> list[Stretch]:
     """Return the times in which the hand pressed steadily, with hand and tip coupled [s]."""
     tips = Newest(_states(session, TIP))
@@ -63,6 +65,7 @@ def _changes(session: Session, device: str, *modes: str) -> list[float]:
     return [after.sent_s for before, after in pairs if (before.fields["mode"], after.fields["mode"]) == modes]
 
 
+@lru_cache(maxsize=1)
 def _partitions(session: Session) -> list[Stretch]:
     """Return the times of more than 30 ms in which samples of the hand, or answers, were sent and none arrived [s]."""
     stretches = []
