@@ -284,7 +284,7 @@ class Engine:
             if not key or due_ns > end_ns or self._is_last(key, end_ns):
                 return
             clock.advance_ns(due_ns - now_ns)
-            # Update its next turn; deliveries do the same for their readers.
+            # Update its next turn; deliveries bring that of their readers forward.
             unknown.add(key)
             self.turn(key, loops[key])
             # A loop wakes up a little late, and now and then very late.
@@ -416,7 +416,11 @@ class Engine:
     def _put(self, key: str, topic: str, payload: bytes, message: Message | None, arrives_ns: int) -> None:
         self._order += 1
         heapq.heappush(self.buses[key].inbox, (arrives_ns, self._order, topic, payload, message))
-        self._unknown.add(key)
+        # A message only brings the next turn of its reader forward: a node moves its deadline in its own turns alone.
+        if (due_ns := self._due_of.get(key)) is not None:
+            turn_ns = max(arrives_ns + self._late_ns[key], self._stalled_until_ns[key])
+            if turn_ns < due_ns:
+                self._due_of[key] = turn_ns
 
     def _due_ns(self, key: str) -> int:
         loop = self.loops[key]

@@ -76,8 +76,8 @@ def _campaign(seed: int, hours: float, out: Path) -> int:
 
     tally = campaign.campaign(seed, hours, observe)
     print(f"\n{campaign.speed(tally)}\n")
-    _print_table("invariant", campaign.INVARIANTS, tally.broken(), len(tally.schedules), "broken in")
-    _print_table("situation", tuple(SITUATIONS), tally.reached(), len(tally.schedules), "reached in")
+    _print_table("invariant", campaign.INVARIANTS, tally, tally.broken(), "broken in")
+    _print_table("situation", tuple(SITUATIONS), tally, tally.reached(), "reached in")
     seen = set()
     for one in failures:
         name = one.breaks[0].invariant
@@ -96,12 +96,15 @@ def _breaks(schedule: Schedule, invariant: str) -> bool:
     return any(found.invariant == invariant for found in campaign.tried(schedule).breaks)
 
 
-def _print_table(head: str, names: tuple[str, ...], counts: "campaign.Counter[str]", total: int, what: str) -> None:
-    width = max(map(len, names))
-    print(f"{head:{width}}  {what:>10}  95 % interval of the share")
+def _print_table(
+    head: str, names: tuple[str, ...], tally: campaign.Tally, counts: "campaign.Counter[str]", what: str
+) -> None:
+    width, total = max(map(len, names)), len(tally.schedules)
+    print(f"{head:{width}}  {what:>10}  {'in an hour':>10}  95 % interval of the share")
     for name in names:
         low, high = wilson(counts[name], total)
-        print(f"{name:{width}}  {counts[name]:>10}  {low:.4f} to {high:.4f}")
+        hourly = counts[name] / max(tally.simulated_h, 1e-9)
+        print(f"{name:{width}}  {counts[name]:>10}  {hourly:>10.1f}  {low:.4f} to {high:.4f}")
     print()
 
 

@@ -177,6 +177,39 @@ def _stopped_again(dice: random.Random, at_s: float) -> list[Event]:
     return [{"at_s": at_s, **press}, arm, {"at_s": later_s, **press}]
 
 
+def _stop_while_away(dice: random.Random, at_s: float) -> list[Event]:
+    """Draw a stop for a device while it is started again or stands still, or the link or the network is away."""
+    away = dice.choice(["hand", "tip", "link", "still", "cut"])
+    for_s = dice.choice([0.12, 0.3, 0.8])
+    if away == "still":
+        fault: Event = {"at_s": at_s, "kind": "stall", "node": TIP, "for_s": for_s}
+    elif away == "cut":
+        way = dice.choice(["both", "forward", "backward"])
+        fault = {"at_s": at_s, "kind": "partition", "direction": way, "for_s": for_s}
+    else:
+        node = {"hand": HAND, "tip": TIP, "link": LINK}[away]
+        fault = {"at_s": at_s, "kind": "kill", "node": node, "after": 0, "torn": dice.choice([0.0, 0.5, 1.0])}
+    later_s = round(at_s + dice.uniform(0.0, min(for_s, 0.12)), 4)
+    if away == "hand":
+        press = {"site": "master", "target": dice.choice(["*", "haptic_node"])}
+    else:
+        press = {"site": dice.choice(["master", "slave"]), "target": "afm_node"}
+    return [fault, {"at_s": later_s, "kind": "press", **press}]
+
+
+def _law_while_cut(dice: random.Random, at_s: float) -> list[Event]:
+    """Draw a change to another law and back while the network is away: one of the two is a change."""
+    at_s = min(at_s, 3.0)
+    way, for_s = dice.choice(["both", "forward", "backward"]), dice.choice([0.12, 0.3, 0.8])
+    begins_s = round(at_s + dice.uniform(-0.05, 0.05), 4)
+    first, then = dice.sample(LAWS, 2)
+    laws: list[Event] = [
+        {"at_s": at_s, "kind": "law", "law": first},
+        {"at_s": round(at_s + for_s + 1.0, 3), "kind": "law", "law": then},
+    ]
+    return [{"at_s": begins_s, "kind": "partition", "direction": way, "for_s": for_s}, *laws]
+
+
 def _press(dice: random.Random, at_s: float) -> Event:
     site = dice.choice(["master", "master", "slave"])
     target = "afm_node" if site == "slave" else dice.choice(["*", "*", "haptic_node", "afm_node"])
@@ -207,6 +240,8 @@ _GROUPS: dict[str, tuple[float, Callable[[random.Random, float], list[Event]]]] 
     "device": (1.0, _device),
     "restart": (0.4, _restart),
     "stopped again": (1.0, _stopped_again),
+    "stop while away": (1.0, _stop_while_away),
+    "law while cut": (0.4, _law_while_cut),
 }
 KINDS = frozenset(
     {

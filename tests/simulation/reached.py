@@ -3,7 +3,9 @@
 If a night of schedules never reaches a situation, the generator is at fault.
 """
 
+from bisect import bisect_left, bisect_right
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from itertools import pairwise
 
 from outside_judge import HAND, LINK, TIP, Fields, Newest, Seen, Session
@@ -44,6 +46,7 @@ def _within(times: list[float], stretches: list[Stretch], late_s: float = 0.0) -
     return any(begin <= at_s <= end + late_s for at_s in times for begin, end in stretches)
 
 
+@lru_cache(maxsize=1)
 def _holds(session: Session) -> list[Stretch]:
     """Return the times in which the hand pressed steadily, with hand and tip coupled [s]."""
     tips = Newest(_states(session, TIP))
@@ -63,18 +66,33 @@ def _changes(session: Session, device: str, *modes: str) -> list[float]:
     return [after.sent_s for before, after in pairs if (before.fields["mode"], after.fields["mode"]) == modes]
 
 
+@lru_cache(maxsize=1)
 def _partitions(session: Session) -> list[Stretch]:
-    """Return the times of more than 30 ms in which samples of the hand, or answers, were sent and none arrived [s]."""
-    stretches = []
-    for topic, sender in (("teleop/forward", "controller@master"), ("teleop/backward", "controller@slave")):
-        site = "slave" if topic.endswith("forward") else "master"
-        arrived = sorted(one.sent_s for one in session.seen if one.channel == f"{topic}@{site}")
-        sent = [at_s for at_s, _, _ in session.sent[sender, topic]]
-        newest = Newest([one for one in session.seen if one.channel == topic])
-        for begin, end in pairwise(arrived):
-            if end - begin > 0.03 and len(newest.between(begin, end)) > 5 and sent:
-                stretches.append((begin, end))
-    return stretches
+    """Return the times of more than 30 ms in which samples of the hand, or answers, were sent and none arrived [s].
+
+    What arrives at the slave is recorded nowhere. Its half answers each sample, so none has arrived while it sent no
+    answer, unless it, the instrument or the link stood still or was away.
+    """
+    answers = [at_s for at_s, _, _ in session.sent["controller@slave", "teleop/backward"]]
+    arrived = sorted(one.sent_s for one in session.seen if one.channel == "teleop/backward@master")
+    samples = [at_s for at_s, _, _ in session.sent["controller@master", "teleop/forward"]]
+    away = [stretch for node in ("controller@slave", TIP, LINK) for stretch in _away(session, node)]
+    return [
+        *(one for one in _without(answers, samples) if not any(a <= one[1] and b >= one[0] for a, b in away)),
+        *_without(arrived, answers),
+    ]
+
+
+def _without(arrived: list[float], sent: list[float]) -> list[Stretch]:
+    """Return the times of more than 30 ms without an arrival, in which more than five messages were sent [s]."""
+    long = [(begin, end) for begin, end in pairwise(arrived) if end - begin > 0.03]
+    return [(begin, end) for begin, end in long if bisect_left(sent, end) - bisect_right(sent, begin) > 5]
+
+
+def _away(session: Session, node: str) -> list[Stretch]:
+    """Return the times in which a node stood still, or had no process [s]."""
+    stalls = [act for act in session.acts if act["what"] == "stalled" and act["node"] == node]
+    return [*((act["at_s"], act["at_s"] + act["for_s"]) for act in stalls), *_down(session, node)]
 
 
 def _recordings(session: Session, state: str) -> list[float]:

@@ -9,9 +9,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import campaign
+import faulty_rig
 import pytest
 from campaign import INVARIANTS, KNOWN, Tried, tried
-from fault_schedule import KINDS, Event, Schedule
+from fault_schedule import KINDS, LINK, TIP, Event, Schedule
 from planted import PLANTED
 from reached import SITUATIONS
 from shrunk import MOST_EVENTS, shrunk
@@ -19,6 +20,23 @@ from shrunk import MOST_EVENTS, shrunk
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
 SEED_OF_THE_DAY = datetime.datetime.now(datetime.UTC).date().toordinal() * 1000
+
+_STOP: Event = {"at_s": 1.68, "kind": "press", "site": "master", "target": "*"}
+# Situations in which two faults meet, with the shortest schedule of each.
+MADE: dict[str, tuple[Event, ...]] = {
+    "a stop while a device was being started again": (
+        {"at_s": 1.6, "kind": "kill", "node": TIP, "after": 0, "torn": 0.0},
+        {**_STOP, "site": "slave", "target": "afm_node"},
+    ),
+    "a stop while the link was away": ({"at_s": 1.6, "kind": "kill", "node": LINK, "after": 0, "torn": 0.0}, _STOP),
+    "a stop while the instrument stood still": ({"at_s": 1.6, "kind": "stall", "node": TIP, "for_s": 0.3}, _STOP),
+    "a stop in a partition": ({"at_s": 1.6, "kind": "partition", "direction": "forward", "for_s": 0.3}, _STOP),
+    "a partition in a hold": ({"at_s": 1.9, "kind": "partition", "direction": "backward", "for_s": 0.3},),
+    "a partition while a law changed": (
+        {"at_s": 1.6, "kind": "partition", "direction": "both", "for_s": 0.8},
+        {"at_s": 1.6, "kind": "law", "law": "virtual_impedance"},
+    ),
+}
 
 
 def unexpected(one: Tried) -> list[str]:
@@ -106,6 +124,15 @@ def check_found(name: str) -> None:
 
 def test_every_invariant_has_a_planted_fault() -> None:
     assert {name for fault in PLANTED.values() for name in fault.breaks} == set(INVARIANTS)
+
+
+@pytest.mark.endurance
+@pytest.mark.parametrize("situation", MADE)
+def test_a_situation_that_is_made_is_seen_in_the_recordings(situation: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    # The rest of the session does not matter.
+    monkeypatch.setattr(faulty_rig, "_LONGEST_S", 2.6)
+    one = tried(Schedule(3, "wave", 0.005, 0.0, MADE[situation]), reports=False)
+    assert situation in one.situations
 
 
 @pytest.mark.endurance
