@@ -80,6 +80,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/verdicts/test_kept_verdicts.py",
     ),
     "telenano/analysis/verdict_sentences.py": (
+        "tests/unit/analysis/test_verdict_sentences.py",
         "tests/unit/analysis/test_verdict.py",
         "tests/verdicts/test_kept_verdicts.py",
     ),
@@ -91,6 +92,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/verdicts/test_judge.py",
     ),
     "telenano/analysis/read_out.py": (
+        "tests/unit/analysis/test_read_out.py",
         "tests/unit/analysis/test_verdict_parts.py",
         "tests/unit/analysis/test_verdict_noise.py",
         "tests/unit/analysis/test_verdict.py",
