@@ -79,6 +79,8 @@ def test_a_hand_has_begun_to_press_from_a_fiftieth_of_its_greatest_force(sign: f
     assert kinds_of(force, (5.0, 8.0)) == "apart 2.0 approach 5.0 contact 8.0"
     assert kinds_of(0.5 * force, (5.0, 8.0)) == "apart 2.0 approach 5.0 contact 8.0"
     assert kinds_of(0.0 * force, (5.0, 8.0)) == "apart 5.0 contact 8.0"
+    first_s = float(TIME_S[np.abs(force) > 0.02][0])
+    assert phases_of(TIME_S, force, [(5.0, 8.0)], [], 8.0)[0].to_s == first_s
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -87,6 +89,10 @@ def test_a_hold_with_a_twentieth_of_the_greatest_force_is_one(sign: float) -> No
     touched = (1.0, 8.0)
     assert kinds_of(force, touched, holds=((2.0, 4.0, sign * 0.06),)) == "apart 1.0 contact 2.0 hold 4.0 release 8.0"
     assert kinds_of(force, touched, holds=((2.0, 4.0, sign * 0.04),)) == "apart 1.0 contact 8.0"
+    # A hand of ten times the force has begun to press, and to hold, as early.
+    found = kinds_of(10.0 * force, touched, holds=((2.0, 4.0, sign * 0.6),))
+    assert found == "apart 1.0 contact 2.0 hold 4.0 release 8.0"
+    assert kinds_of(10.0 * force, touched, holds=((2.0, 4.0, sign * 0.4),)) == "apart 1.0 contact 8.0"
 
 
 def test_a_tip_that_comes_off_before_the_last_contact_approaches_again_and_after_it_is_released() -> None:
