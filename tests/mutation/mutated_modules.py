@@ -282,6 +282,10 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "has_line: if count < 2.0: [count < 2.0 => count <= 2.0]": "an octave has 2, 4, 8 or more lines, of"
         " which three are never left beside one and its neighbours",
     },
+    "telenano/analysis/conditions.py": {
+        'title: least_ms, greatest_ms = conditions.get("link_round_trip_range_ms") or (0.0, 0.0) [0.0 => 1.0]': "a"
+        " range of less than nothing is no wider than one of nothing",
+    },
     "telenano/analysis/holds.py": {
         "judge_holds: is_held = len(pressed) and abs(float(pressed.mean()) - force) < ERROR_SHARE * greatest"
         " [abs(float(pressed.mean()) - force) < ERROR_SHARE * greatest => abs(float(pressed.mean()) - force) <="
