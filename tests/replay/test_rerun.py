@@ -40,6 +40,7 @@ from telenano.rerun.rerun_bus import RerunBus
 from telenano.wire import Message
 from telenano.wire.errors import ConfigError
 from telenano.wire.messages import AfmState
+from telenano.wire.nodes import RERUN_NODES
 from telenano.wire.topics import TOPICS
 
 # shows all that the instrument does
@@ -221,6 +222,16 @@ def test_what_cannot_be_rerun_is_named(reference: Recording, tmp_path: Path) -> 
         rerun(reference, "recorder@master")
     with pytest.raises(ConfigError, match="force_gan: unknown key"):
         rerun(reference, "controller@master", settings=["controller.virtual_impedance.force_gan=1.0"])
+
+
+def test_only_the_link_needs_the_site_file_of_a_recording(path: Path) -> None:
+    # As a file of an older version may be, whose keys have other names today.
+    older = InMemory(path, SHORT_S).attaching("site.yaml", b"endpoints: {}\n")
+    for node in set(RERUN_NODES) - {"delay_node@master"}:
+        result = rerun(older, node)
+        assert result.identical, f"{node}: {result.verdict()}"
+    with pytest.raises(ConfigError, match=r"site\.yaml in .*: endpoints: unknown key"):
+        rerun(older, "delay_node@master")
 
 
 class WarmerState(AfmState):

@@ -18,23 +18,35 @@ from stack_rig import CONSTANT_PUSH, FIGURE_AND_PUSH, FIGURE_S, Rig
 from two_sites import TwoSites
 
 
-# before the cases are drawn, which are among those of `make check`
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+# before the cases are drawn, which are among those of `make check`, and after pytest has sorted them
+@pytest.hookimpl(wrapper=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> Iterator[None]:
     for item in items:
         if Path(__file__).parent in item.path.parents:
             item.add_marker(pytest.mark.stack)
             of_make_test = "shared_rig" in getattr(item, "fixturenames", ()) and not shares_processes(item)
             if not of_make_test and item.get_closest_marker("endurance") is None:
                 item.add_marker(pytest.mark.check)
+    written = [item for item in items if way_of(item)]
+    yield
+    # Tests that have a way keep the order in which they are written: pytest sorts them by the place of a way among the
+    # parameters of each test, and so begins the rig of a module anew whenever that differs.
+    left = set(items)
+    in_order = iter([item for item in written if item in left])
+    items[:] = [next(in_order) if way_of(item) else item for item in items]
     # The tests of one way come before those of the other, because a way keeps its rig for all of them; those that end
     # the shared rig come last, because they judge the state that all others left.
     items.sort(key=lambda item: (shares_processes(item), item.get_closest_marker("ends_shared_rig") is not None))
 
 
+def way_of(item: pytest.Item) -> str:
+    """Return how a test wants the nodes of its rig put into processes; empty where it does not say."""
+    return str(item.callspec.params.get("processes", "")) if hasattr(item, "callspec") else ""
+
+
 def shares_processes(item: pytest.Item) -> bool:
     """Return whether a test has a rig whose nodes share processes."""
-    return hasattr(item, "callspec") and item.callspec.params.get("processes") == "site"
+    return way_of(item) == "site"
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -28,6 +28,8 @@ KILLS = {
     "site": ("controller@slave", "haptic_node@master"),
 }
 BOTH = pytest.mark.parametrize("processes", list(KILLS), indirect=True, scope="module")
+# The recorder is killed in this way.
+OF_NODES = pytest.mark.parametrize("processes", ["node"], indirect=True, scope="module")
 
 
 def of_kills(*cases: tuple[str, tuple[str, ...]]) -> pytest.MarkDecorator:
@@ -144,6 +146,7 @@ def test_recording_has_every_death_and_restart(wreck: Any) -> None:
         assert any(node in text and RESTARTED in text for text in texts), (node, texts)
 
 
+@OF_NODES
 def test_killed_recording_is_readable_up_to_the_last_flush(wreck: Any) -> None:
     rig = wreck[0]
     kill = kill_of(wreck, "recorder@master")

@@ -12,6 +12,9 @@ import machine
 import pytest
 from stack_rig import HELD_UP_MS, Rig, decoded, mode, wait_for_the_recorder
 
+# Time before and after a switch in which the tip is watched [ns].
+AROUND_NS = 30_000_000
+
 
 def states_around_switches(rig: Rig) -> list[list[Any]]:
     """Switch the law and back while the tip rests on the sample; return the states of the tip around both switches."""
@@ -32,12 +35,13 @@ def states_around_switches(rig: Rig) -> list[list[Any]]:
         switched = rig.telenano("session", "set", f"law={law}", "--target", "controller")
         assert switched.returncode == 0, switched.stdout + switched.stderr
         rig.wait_until(lambda law=law: rig.newest("teleop/backward").law == law, f"{law} on the bus")
-    time.sleep(0.5)
+    seen_ns = time.time_ns() + AROUND_NS
+    rig.wait_until(lambda: rig.newest("afm/state").t_ns > seen_ns, "the tip after the last switch")
     wait_for_the_recorder(rig, "teleop/forward", "afm/state")
     forward, tip = decoded(rig, "teleop/forward", begin_ns), decoded(rig, "afm/state", begin_ns)
     switches = [after.t_ns for before, after in pairwise(forward) if before.law != after.law]
     assert len(switches) == 2
-    return [[state for state in tip if abs(state.t_ns - at_ns) < 30_000_000] for at_ns in switches]
+    return [[state for state in tip if abs(state.t_ns - at_ns) < AROUND_NS] for at_ns in switches]
 
 
 def test_switching_the_law_moves_neither_tip_nor_hand(pressing_rig: Rig) -> None:

@@ -7,7 +7,7 @@ import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, sample
 
 from telenano.analysis import Session
-from telenano.analysis.conditions import conditions, title
+from telenano.analysis.conditions import conditions, described, laws_in_turn, title
 from telenano.recording.reader import Recording
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.settings.scenario import Scenario
@@ -55,6 +55,54 @@ def test_the_laws_that_ran_and_the_delay_that_was_are_stated(recording: Recordin
     assert title({**found, "instrument": "real"}).endswith("link lte, instrument real")
 
 
+def test_each_law_has_the_time_from_which_it_was_in_force_and_the_first_one_that_of_the_begin(
+    recording: Recording, tmp_path: Path
+) -> None:
+    # The session began 5 ms before the first report, and the second law reports 10 ms after that.
+    turns = laws_in_turn(recording, EPOCH_NS - 5 * MILLISECOND_NS, EPOCH_NS + 100 * MILLISECOND_NS)
+    assert [law for _, law in turns] == ["wave", "passivity"]
+    assert [at_s for at_s, _ in turns] == [0.0, pytest.approx(0.015, rel=1e-9)]
+    writer = RecordingWriter.create(NODE, FileSettings(directory=tmp_path))
+    writer.finish()
+    assert laws_in_turn(Recording(writer.path), EPOCH_NS, EPOCH_NS + 100 * MILLISECOND_NS) == []
+
+
+@pytest.mark.parametrize(
+    ("median_ms", "range_ms", "words"),
+    [
+        # It varies by 10 ms, and by half of its median.
+        (100.0, [80.0, 129.0], "100 ms"),
+        (100.0, [80.0, 131.0], "80 to 131 ms"),
+        (15.0, [10.0, 19.0], "15 ms"),
+        (15.0, [10.0, 21.0], "10 to 21 ms"),
+        (0.0, [0.0, 9.0], "0 ms"),
+        (0.0, [0.0, 11.0], "0 to 11 ms"),
+        # Older summaries have no range.
+        (50.0, None, "50 ms"),
+    ],
+)
+def test_a_round_trip_is_stated_with_its_range_where_it_varies_much(
+    recording: Recording, median_ms: float, range_ms: list[float] | None, words: str
+) -> None:
+    found = conditions(recording, SCENARIO, EPOCH_NS, EPOCH_NS + 100 * MILLISECOND_NS)
+    made = {**found, "link_round_trip_ms": median_ms, "link_round_trip_range_ms": range_ms}
+    assert title(made) == f"wave then passivity, round trip of the link {words}, link lte"
+
+
+def test_what_the_loop_bridges_is_stated_where_the_link_says_nothing(recording: Recording) -> None:
+    found = conditions(recording, SCENARIO, EPOCH_NS, EPOCH_NS + 100 * MILLISECOND_NS)
+    made = {**found, "link_round_trip_ms": None, "link_round_trip_range_ms": None}
+    assert title(made) == "wave then passivity, round trip of the loop 50 ms, link lte"
+
+
+def test_all_conditions_are_in_the_metadata_of_a_figure(recording: Recording) -> None:
+    found = conditions(recording, SCENARIO, EPOCH_NS, EPOCH_NS + 100 * MILLISECOND_NS)
+    text = described("trial", found)
+    for part in ("trial", title(found), "impedance_n_s_per_m=100.0", "changed: controller@master", "lte, seed 7"):
+        assert part in text
+    assert "changed: nothing" in described("trial", {**found, "changed": []})
+
+
 def test_a_network_of_ones_own_is_not_called_clean(recording: Recording) -> None:
     for section, name, ending in (
         ({"forward": {"jitter": {"scale_s": 0.01}}}, "custom", ", link custom"),
@@ -79,7 +127,7 @@ def test_a_delay_that_was_changed_in_the_session_is_stated_with_both_ends(record
 def test_the_least_and_the_greatest_delay_of_a_link_are_those_of_its_reports(tmp_path: Path) -> None:
     writer = RecordingWriter.create(NODE, FileSettings(directory=tmp_path))
     channel = writer.channel("link/status", "delay_node@master", "master")
-    for n, delay_s in enumerate((0.0, 0.0, 0.0, 0.2)):
+    for n, delay_s in enumerate((0.0, 0.0, 0.0, 0.2000003)):
         way = fields_of(sample("link/status", 0))["forward"]
         way |= {"delay_valid": True, "delay_mean_s": delay_s, "delay_min_s": 0.0, "delay_max_s": 0.3}
         t_ns = EPOCH_NS + n * MILLISECOND_NS
@@ -87,7 +135,8 @@ def test_the_least_and_the_greatest_delay_of_a_link_are_those_of_its_reports(tmp
         writer.write(channel, t_ns, t_ns, n, encode(message))
     writer.finish()
     found = conditions(Recording(writer.path), SCENARIO, EPOCH_NS, EPOCH_NS + 100 * MILLISECOND_NS)
-    assert (found["link_round_trip_ms"], found["link_round_trip_range_ms"]) == (0.0, [0.0, 400.0])
+    # To a microsecond.
+    assert (found["link_round_trip_ms"], found["link_round_trip_range_ms"]) == (0.0, [0.0, 400.001])
 
 
 def test_what_happened_outside_the_session_does_not_count(recording: Recording) -> None:

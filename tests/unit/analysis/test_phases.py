@@ -47,6 +47,72 @@ def test_a_hand_that_does_nothing_has_no_phases_but_one() -> None:
     assert [span.kind for span in phases_of(TIME_S, np.zeros(TIME_S.size), [], [], 8.0)] == ["apart"]
 
 
+@pytest.mark.parametrize(("gap_s", "count"), [(0.018, 1), (0.022, 2)])
+def test_a_tip_that_is_off_for_a_fiftieth_of_a_second_is_still_in_contact(gap_s: float, count: int) -> None:
+    found = contacts_of(TIME_S, contact((2.0, 3.0), (3.0 + gap_s, 4.0), (4.0 + gap_s, 5.0)))
+    assert len(found) == 2 * count - 1
+    assert (found[0][0], found[-1][1]) == (pytest.approx(2.0, abs=1e-3), pytest.approx(5.0, abs=1e-3))
+
+
+def test_moments_are_at_both_ends_of_a_contact_but_not_at_the_end_of_the_session() -> None:
+    def kinds(off_s: float) -> list[tuple[str, float]]:
+        return [(moment.kind, moment.time_s) for moment in moments_of([(2.0, off_s)], 8.0)]
+
+    assert kinds(7.994) == [("contact", 2.0), ("lost", 7.994)]
+    assert kinds(7.996) == kinds(8.0) == [("contact", 2.0)]
+
+
+def kinds_of(
+    force_n: np.ndarray, *spans: tuple[float, float], holds: tuple[tuple[float, float, float], ...] = ()
+) -> str:
+    """Return the phases with their ends [s], rounded."""
+    made = [{"start_s": begin_s, "end_s": end_s, "hand_force_n": held_n} for begin_s, end_s, held_n in holds]
+    found = phases_of(TIME_S, force_n, list(spans), made, 8.0)
+    assert [span.to_s for span in found[:-1]] == [span.from_s for span in found[1:]]
+    return " ".join(f"{span.kind} {span.to_s:.1f}" for span in found)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_hand_has_begun_to_press_from_a_fiftieth_of_its_greatest_force(sign: float) -> None:
+    # 0.015 N are less than that of 1 N, and 0.025 N are more.
+    force = sign * np.interp(TIME_S, [1.0, 1.001, 2.0, 2.001, 3.0, 4.0], [0.0, 0.015, 0.015, 0.025, 0.025, 1.0])
+    assert kinds_of(force, (5.0, 8.0)) == "apart 2.0 approach 5.0 contact 8.0"
+    assert kinds_of(0.5 * force, (5.0, 8.0)) == "apart 2.0 approach 5.0 contact 8.0"
+    assert kinds_of(0.0 * force, (5.0, 8.0)) == "apart 5.0 contact 8.0"
+    first_s = float(TIME_S[np.abs(force) > 0.02][0])
+    assert phases_of(TIME_S, force, [(5.0, 8.0)], [], 8.0)[0].to_s == first_s
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_hold_with_a_twentieth_of_the_greatest_force_is_one(sign: float) -> None:
+    force = sign * np.interp(TIME_S, [1.0, 1.1, 5.0, 5.1], [0.0, 0.06, 0.06, 1.0])
+    touched = (1.0, 8.0)
+    assert kinds_of(force, touched, holds=((2.0, 4.0, sign * 0.06),)) == "apart 1.0 contact 2.0 hold 4.0 release 8.0"
+    assert kinds_of(force, touched, holds=((2.0, 4.0, sign * 0.04),)) == "apart 1.0 contact 8.0"
+    # A hand of ten times the force has begun to press, and to hold, as early.
+    found = kinds_of(10.0 * force, touched, holds=((2.0, 4.0, sign * 0.6),))
+    assert found == "apart 1.0 contact 2.0 hold 4.0 release 8.0"
+    assert kinds_of(10.0 * force, touched, holds=((2.0, 4.0, sign * 0.4),)) == "apart 1.0 contact 8.0"
+
+
+def test_a_tip_that_comes_off_before_the_last_contact_approaches_again_and_after_it_is_released() -> None:
+    force = np.where(TIME_S > 0.5, 1.0, 0.0)
+    held = ((2.5, 3.0, 1.0), (4.5, 5.0, 1.0))
+    expected = "apart 0.5 approach 1.0 contact 2.5 hold 3.0 contact 3.5 approach 4.0 contact 4.5 hold 5.0"
+    found = kinds_of(force, (1.0, 3.5), (4.0, 6.0), (6.5, 7.0), holds=held)
+    assert found == f"{expected} release 6.0 approach 6.5 release 7.0 released 8.0"
+
+
+def test_two_holds_side_by_side_are_two_and_what_lasts_milliseconds_is_no_phase() -> None:
+    force = np.where(TIME_S > 0.5, 1.0, 0.0)
+    two = kinds_of(force, (1.0, 8.0), holds=((2.0, 3.0, 1.0), (3.0, 4.0, 0.9)))
+    assert two == "apart 0.5 approach 1.0 contact 2.0 hold 3.0 hold 4.0 release 8.0"
+    found = phases_of(TIME_S, force, [(1.0, 2.996)], [{"start_s": 3.0, "end_s": 8.0, "hand_force_n": 1.0}], 8.0)
+    assert [span.kind for span in found] == ["apart", "approach", "contact", "hold"]
+    found = phases_of(TIME_S, force, [(1.0, 2.994)], [{"start_s": 3.0, "end_s": 8.0, "hand_force_n": 1.0}], 8.0)
+    assert [span.kind for span in found] == ["apart", "approach", "contact", "released", "hold"]
+
+
 @pytest.mark.check("takes 0.5 s")
 def test_a_recording_is_judged_as_its_report_is(tmp_path: Path) -> None:
     found = judged_recording(open_recordings([Made().write(tmp_path)]))

@@ -25,7 +25,7 @@ from telenano_lab.experiments.orders import (
     sequence,
     sequences_of_design,
 )
-from telenano_lab.experiments.psychophysics.methods import checked, most_trials
+from telenano_lab.experiments.psychophysics.methods import checked, extreme_levels, most_trials
 from telenano_lab.experiments.tasks import INSTALLED, TASKS
 from telenano_lab.experiments.types import Trial
 
@@ -100,6 +100,12 @@ class Plan:
         for task, held in self.block_conditions:
             for condition in self.within_block:
                 yield task, {**held, **condition}
+
+    def extremes(self, condition: Condition) -> list[Condition]:
+        """Return a condition with the least and the greatest level of the adaptive factor; as it is without one."""
+        if not self.adaptive:
+            return [condition]
+        return [{**condition, self.adaptive: level} for level in extreme_levels(self.method)]
 
     @cached_property
     def parameters(self) -> dict[str, dict[str, Any]]:
@@ -337,7 +343,9 @@ def load_plan(path: Path, tasks: Mapping[str, Task] | None = None) -> Plan:
         validate(Profile, dict(plan.experiment.operator.profile), str(path), "operator.profile")
     scenario = plan.scenario
     for task, condition in plan.each_condition:
-        _check_condition(plan, task, condition, scenario)
+        for extreme in plan.extremes(condition):
+            _check_condition(plan, task, extreme, scenario)
+    _check_overridden(plan)
     return plan
 
 
@@ -424,6 +432,34 @@ def _check_condition(plan: Plan, task: str, condition: Condition, scenario: Mapp
         if complaints := _of_scenario(plan, scenario, _complaints(error, origin)):
             raise ConfigError(complaints) from error
         raise
+
+
+def _check_overridden(plan: Plan) -> None:
+    """Check the values of `settings` that factors replace in every trial: each as it is without these factors.
+
+    No condition has such a value, so the check of the conditions does not see it. Without a factor, other keys may no
+    longer go together; only what is wrong with the value itself counts.
+    """
+    own, conditions = (
+        plan.settings({}),
+        [(task, plan.extremes(condition)[0]) for task, condition in plan.each_condition],
+    )
+    replaced = [{key for item in condition.items() for key in plan.keys(*item)} for _, condition in conditions]
+    task, first = conditions[0]
+    parameters = {**plan.parameters[task], **plan.of_task(first)}
+    for key in own:
+        if not all(key in keys for keys in replaced):
+            continue
+        settings = plan.settings({name: level for name, level in first.items() if key not in plan.keys(name, level)})
+        origin = f"{plan.path}: settings"
+        if key == PICTURE_DELAY:
+            validate(Picture, {"delay_s": own[key]}, origin, "picture")
+        try:
+            checked_document(plan, task, parameters, settings, 0, origin)
+        except ConfigError as error:
+            about = (f"{key}:", f"{key}.")
+            if of_key := [line for line in sorted(_complaints(error, origin)) if line.startswith(about)]:
+                raise ConfigError("\n".join(f"{origin}: {line}" for line in of_key)) from error
 
 
 def _of_scenario(plan: Plan, scenario: Mapping[str, Any], complaints: set[str]) -> str:

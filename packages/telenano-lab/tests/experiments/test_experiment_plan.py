@@ -156,8 +156,40 @@ UNKNOWN: list[tuple[dict[str, Any], str]] = [
     ({"settings": {"delay_node.profile": "marsnet"}}, "delay_node.profile: unknown profile 'marsnet'"),
     ({"settings": {"haptic_node.driver": "nosuch"}}, "haptic_node.driver: "),
     ({"settings": {"picture.delay": 0.1}}, "picture: unknown key"),
+    # Factors replace these in every trial.
+    ({"settings": {"controller.law": "wav"}}, "settings: controller.law: "),
+    ({"settings": {"delay_node.forward.delay_s": "late"}}, "settings: delay_node.forward.delay_s: "),
+    (
+        {"settings": {"picture.delay_s": 10.0}, "factors": {"picture.delay_s": [0.0, 0.1]}},
+        "settings: picture.delay_s: ",
+    ),
+    (
+        {
+            "settings": {"afm_node.sample.name": 3},
+            "factors": {"place": {"levels": {"a": {"afm_node.sample.name": "flat"}}}},
+        },
+        "settings: afm_node.sample.name: ",
+    ),
     ({"factors": {"picture.delay_s": ["late"]}}, "picture.delay_s: "),
     ({"factors": {"picture.delay_s": [10.0]}}, "picture.delay_s: "),
+    # The levels of a method are those of its trials, and so the least and the greatest of them have to be possible.
+    *(
+        ({"factors": {name: {"adaptive": {"method": "constant", "levels": levels, "repetitions": 3}}}}, complaint)
+        for name, levels, complaint in (
+            ("picture.delay_s", [0.1, 10.0], r"picture\.delay_s: "),
+            ("picture.delay_s", [-0.1, 1.0], r"picture\.delay_s: "),
+            ("delay_ms", [-20.0, 20.0], r"delay_node\.(for|back)ward\.delay_s: "),
+            ("haptic_node.operator.forse_n", [0.5, 1.0], r"haptic_node\.operator"),
+        )
+    ),
+    (
+        {
+            "factors": {
+                "picture.delay_s": {"adaptive": {"method": "staircase", "start": 1, "low": 0, "high": 12, "steps": [1]}}
+            }
+        },
+        r"picture\.delay_s: ",
+    ),
     ({"factors": {"grip": {"key": "controler.law", "levels": ["wave"]}}}, "controler: unknown key"),
     ({"factors": {"grip": {"levels": {"soft": {"controler.law": "wave"}}}}}, "controler: unknown key"),
     ({"factors": {"grip": {"key": "task.lenght_s", "levels": [1.0]}}}, "tasks.0.parameters.lenght_s: unknown key"),
@@ -189,6 +221,17 @@ def test_what_a_plan_names_and_there_is_not_is_said_with_its_file_and_key(
         plan_of(tmp_path, **changes)
     for line in str(refused.value).splitlines():
         assert re.match(rf"{re.escape(str(tmp_path / 'experiment.yaml'))}( \(.*?\))?: {complaint}", line), line
+
+
+def test_a_value_that_factors_replace_need_not_go_together_with_others(tmp_path: Path) -> None:
+    operator = "haptic_node.operator"
+    pressed = {f"{operator}.kind": "force_profile", f"{operator}.points": [{"time_s": 0.1, "force_n": 1.0}]}
+    led = {f"{operator}.kind": "impedance", f"{operator}.path": [{"time_s": 0.1, "position_m": 1e-3}]}
+    factors = {"law": ["wave"], "hand": {"levels": {"pressed": pressed, "led": led}}}
+    # Without a level of the factor this kind of hand has the points of the scenario, and no path.
+    settings = {f"{operator}.kind": "impedance", "controller.law": "passivity"}
+    plan = plan_of(tmp_path, factors=factors, settings=settings)
+    assert {trial.settings[f"{operator}.kind"] for trial in plan.trials("P01")} == {"force_profile", "impedance"}
 
 
 @pytest.mark.parametrize(

@@ -345,6 +345,15 @@ def most_trials(settings: Mapping[str, Any]) -> int:
     )
 
 
+def extreme_levels(settings: Mapping[str, Any]) -> tuple[float, float]:
+    """Return the least and the greatest level that a method can present; ConfigError for wrong settings."""
+    found = checked(settings)
+    if isinstance(found, ConstantSettings):
+        return min(found.levels), max(found.levels)
+    ends = found if isinstance(found, StaircaseSettings) else found.levels
+    return ends.low, ends.high
+
+
 def make(settings: Mapping[str, Any], seed: int, origin: str = "adaptive") -> Method:
     """Return a method before its first trial.
 
