@@ -4,7 +4,7 @@ If a night of schedules never reaches a situation, the generator is at fault.
 """
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import lru_cache
 from itertools import pairwise
 
@@ -71,15 +71,16 @@ def _partitions(session: Session) -> list[Stretch]:
     """Return the times of more than 30 ms in which samples of the hand, or answers, were sent and none arrived [s].
 
     What arrives at the slave is recorded nowhere. Its half answers each sample, so none has arrived while it sent no
-    answer, unless it, the instrument or the link stood still or was away.
+    answer. At the hand an answer has arrived where its state descends from a newer one. Times in which a node on the
+    way stood still, or was away, do not count.
     """
-    answers = [at_s for at_s, _, _ in session.sent["controller@slave", "teleop/backward"]]
-    arrived = sorted(one.sent_s for one in session.seen if one.channel == "teleop/backward@master")
     samples = [at_s for at_s, _, _ in session.sent["controller@master", "teleop/forward"]]
-    away = [stretch for node in ("controller@slave", TIP, LINK) for stretch in _away(session, node)]
+    answers = [at_s for at_s, _, _ in session.sent["controller@slave", "teleop/backward"]]
+    states = pairwise(_states(session, HAND))
+    answered = [now.sent_s for old, now in states if now.fields["answered_t_ns"] > old.fields["answered_t_ns"]]
     return [
-        *(one for one in _without(answers, samples) if not any(a <= one[1] and b >= one[0] for a, b in away)),
-        *_without(arrived, answers),
+        *_apart(session, _without(answers, samples), "controller@slave", TIP, LINK),
+        *_apart(session, _without(answered, answers), "controller@master", HAND, LINK, "recorder@master"),
     ]
 
 
@@ -89,15 +90,22 @@ def _without(arrived: list[float], sent: list[float]) -> list[Stretch]:
     return [(begin, end) for begin, end in long if bisect_left(sent, end) - bisect_right(sent, begin) > 5]
 
 
+def _apart(session: Session, stretches: list[Stretch], *nodes: str) -> list[Stretch]:
+    """Return the times in no part of which one of these nodes stood still or was away [s]."""
+    away = [stretch for node in nodes for stretch in _away(session, node)]
+    return [(begin, end) for begin, end in stretches if not any(a <= end and b >= begin for a, b in away)]
+
+
 def _away(session: Session, node: str) -> list[Stretch]:
     """Return the times in which a node stood still, or had no process [s]."""
     stalls = [act for act in session.acts if act["what"] == "stalled" and act["node"] == node]
     return [*((act["at_s"], act["at_s"] + act["for_s"]) for act in stalls), *_down(session, node)]
 
 
-def _recordings(session: Session, state: str) -> list[float]:
+def _recordings(session: Session, state: str) -> list[str]:
+    """Return the sentences in which a recorder has reported a state of its recording."""
     events = [e for e in session.seen if e.topic == "session/event" and e.fields["kind"] == "recording"]
-    return [e.sent_s for e in events if e.fields["data"].get("state") == state]
+    return [str(e.fields["text"]) for e in events if e.fields["data"].get("state") == state]
 
 
 def _law_changes(session: Session) -> list[Stretch]:
@@ -119,13 +127,24 @@ def _two_at_once(session: Session) -> bool:
     return any(b[0] - a[0] < 0.1 and a[1] != b[1] for a, b in pairwise(given))
 
 
-def _jumps(session: Session) -> Iterator[float]:
-    """Yield the times at which the age of the hand's sample that the tip obeys changed by over 8 ms in a step [s]."""
+def _steps(session: Session) -> list[float]:
+    """Return the times within 60 ms of which the age of the hand's sample that the tip obeys steps by over 8 ms [s].
+
+    The age is steady before and after a step; while a process stands still it is not.
+    """
     states = [one for one in _states(session, TIP) if one.fields["mode"] == "follow"]
-    ages = [(one.sent_s, one.sent_s - (one.fields["hand_t_ns"] - session.epoch_ns) * 1e-9) for one in states]
-    for before, after in pairwise(ages):
-        if abs(after[1] - before[1]) > 0.008 and after[0] - before[0] < 0.02:
-            yield after[0]
+    times = [one.sent_s for one in states]
+    ages = [one.sent_s - (one.fields["hand_t_ns"] - session.epoch_ns) * 1e-9 for one in states]
+    steps = []
+    for at_s, age_s in zip(times, ages, strict=True):
+        wanted = (at_s - 0.06, at_s + 0.06, at_s + 0.12)
+        places = [bisect_left(times, one) for one in wanted]
+        if places[-1] == len(times) or any(times[k] - one > 0.02 for k, one in zip(places, wanted, strict=True)):
+            continue
+        before_s, after_s, then_s = (ages[k] for k in places)
+        if abs(after_s - age_s) > 0.008 and max(abs(age_s - before_s), abs(then_s - after_s)) < 0.004:
+            steps.append(at_s)
+    return steps
 
 
 def _clock_stepped(session: Session) -> bool:
@@ -149,8 +168,10 @@ SITUATIONS: dict[str, Callable[[Session], bool]] = {
         begin <= at_s <= end for at_s, _ in _law_changes(s) for begin, end in _partitions(s)
     ),
     "a partition in a hold": lambda s: _within([begin for begin, _ in _partitions(s)], _holds(s), 0.1),
-    "a step of the delay in a hold": lambda s: _within(list(_jumps(s)), _holds(s), 0.02),
-    "a full disk in the middle of a file": lambda s: bool(_recordings(s, "failed")),
+    "a step of the delay in a hold": lambda s: _within(_steps(s), _holds(s), 0.02),
+    "a full disk in the middle of a file": lambda s: any(
+        "cannot be written: No space" in text for text in _recordings(s, "failed")
+    ),
     "a folder that went while it was recorded to": lambda s: bool(_recordings(s, "removed")),
     "a recorder killed in a hold": lambda s: any(
         _within([begin for begin, _ in _down(s, recorder)], _holds(s), 0.3)

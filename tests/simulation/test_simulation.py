@@ -22,7 +22,7 @@ ROOT = HERE.parents[1]
 SEED_OF_THE_DAY = datetime.datetime.now(datetime.UTC).date().toordinal() * 1000
 
 _STOP: Event = {"at_s": 1.68, "kind": "press", "site": "master", "target": "*"}
-# Situations in which two faults meet, with the shortest schedule of each.
+# Situations that are told by more than an event of a recording, with a short schedule that makes each.
 MADE: dict[str, tuple[Event, ...]] = {
     "a stop while a device was being started again": (
         {"at_s": 1.6, "kind": "kill", "node": TIP, "after": 0, "torn": 0.0},
@@ -32,6 +32,7 @@ MADE: dict[str, tuple[Event, ...]] = {
     "a stop while the instrument stood still": ({"at_s": 1.6, "kind": "stall", "node": TIP, "for_s": 0.3}, _STOP),
     "a stop in a partition": ({"at_s": 1.6, "kind": "partition", "direction": "forward", "for_s": 0.3}, _STOP),
     "a partition in a hold": ({"at_s": 1.9, "kind": "partition", "direction": "backward", "for_s": 0.3},),
+    "a step of the delay in a hold": ({"at_s": 1.7, "kind": "delay", "forward_s": 0.03, "backward_s": 0.03},),
     "a partition while a law changed": (
         {"at_s": 1.6, "kind": "partition", "direction": "both", "for_s": 0.8},
         {"at_s": 1.6, "kind": "law", "law": "virtual_impedance"},
