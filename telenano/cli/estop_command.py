@@ -228,8 +228,8 @@ def _stop_directly(rig: LocalRig, reach: Reach, target: str, on_answer: Callable
         raise RigError(f"no device of the site file was found here: {text}")
     for device in reach.absent:
         is_kept = kept_stop_path(rig.endpoints[device]).exists()
-        kept = ": the stop is kept, and it will start in emergency stop" if is_kept else ""
-        sys.stderr.write(f"telenano: {device} is not running{kept}\n")
+        consequence = ": the stop is kept, and it will start in emergency stop" if is_kept else ""
+        sys.stderr.write(f"telenano: {device} is not running{consequence}\n")
     for device in reach.unknown:
         sys.stderr.write(f"telenano: whether {device} runs is not known here: {rig.seen.blind}\n")
 
