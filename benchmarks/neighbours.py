@@ -27,6 +27,8 @@ from telenano.wire.nodes import START_ORDER
 FREE = ("console@master", "player@master", "view@master", "experiment@master")
 TOPICS = (b"session/control", b"node/health", b"haptic/command", b"operator/force", b"experiment/trial", b"")
 PER_S, FLOOD_S, AT_ONCE = 10_000, 3.0, 20
+# A rig that has not begun by then does not begin [s].
+_BEGINS_S = 60.0
 
 
 def garbage(count: int) -> list[list[bytes]]:
@@ -96,12 +98,13 @@ def flooded(sockets: Path, every_s: float) -> Iterator[list[float]]:
 def standing_reader(sockets: Path, reads_s: float = 5.0) -> Iterator[int]:
     """Run a process that subscribes to all that is published, and is stopped by a signal while it reads; yield its id.
 
-    The endpoints are looked for while the process starts, until there are any; it stands still after `reads_s` [s].
+    It waits until all nodes have bound their endpoints, and stands still `reads_s` [s] later; RuntimeError if none do.
     """
     with children.start([sys.executable, __file__, str(sockets)], stdout=subprocess.PIPE, text=True) as reader:
         try:
             assert reader.stdout is not None
-            reader.stdout.readline()
+            if not reader.stdout.readline():
+                raise RuntimeError(f"no rig has begun in {sockets} within {_BEGINS_S:g} s, so nobody can read it")
             time.sleep(reads_s)
             os.kill(reader.pid, signal.SIGSTOP)
             yield reader.pid
@@ -113,7 +116,10 @@ def _read(sockets: Path) -> None:
     context = zmq.Context[Any]()
     socket = context.socket(zmq.SUB)
     socket.subscribe(b"")
+    begin_s = time.monotonic()
     while not all((sockets / name).exists() for name in START_ORDER):
+        if time.monotonic() - begin_s > _BEGINS_S:
+            return
         time.sleep(0.2)
     for name in START_ORDER:
         socket.connect(f"ipc://{sockets}/{name}")
