@@ -292,6 +292,8 @@ class HapticNode(DeviceNode):
         # A limit may start and end at every tick, so it is published as `limited`, not as an event.
         reason = safety.REASON_NONE if applied.reason in _LIMITS else applied.reason
         text = self._waits_for if reason == safety.REASON_DEVICE_WAITS else safety.REASONS[reason]
+        if reason == safety.REASON_NONE and applied.mode == MODE_OFF:
+            text = "the motor is off, as it is commanded to be"
         if (applied.mode, text) == self._reported:
             return
         self._reported = (applied.mode, text)

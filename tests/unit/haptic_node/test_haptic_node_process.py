@@ -210,7 +210,7 @@ def test_a_command_to_be_off_answers_nothing_and_needs_no_sample(hand: Hand) -> 
     hand.command(mode="off", hand_t_ns=hand.bench.clock.now_ns() - 10**9)
     hand.tick()
     assert hand.node.stale == 0
-    assert [event.text for event in hand.bench.take("session/event")] == ["the motor follows the commands"]
+    assert [event.text for event in hand.bench.take("session/event")] == ["the motor is off, as it is commanded to be"]
 
 
 @pytest.mark.parametrize("stalled_ms", [200, 1000, 3000])
