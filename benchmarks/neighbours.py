@@ -29,6 +29,13 @@ TOPICS = (b"session/control", b"node/health", b"haptic/command", b"operator/forc
 PER_S, FLOOD_S, AT_ONCE = 10_000, 3.0, 20
 # A rig that has not begun by then does not begin [s].
 _BEGINS_S = 60.0
+_READS = """
+import sys
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from neighbours import read_all
+read_all(Path(sys.argv[2]))
+"""
 
 
 def garbage(count: int) -> list[list[bytes]]:
@@ -100,7 +107,8 @@ def standing_reader(sockets: Path, reads_s: float = 5.0) -> Iterator[int]:
 
     It waits until all nodes have bound their endpoints, and stands still `reads_s` [s] later; RuntimeError if none do.
     """
-    with children.start([sys.executable, __file__, str(sockets)], stdout=subprocess.PIPE, text=True) as reader:
+    command = [sys.executable, "-c", _READS, str(Path(__file__).parent), str(sockets)]
+    with children.start(command, stdout=subprocess.PIPE, text=True) as reader:
         try:
             assert reader.stdout is not None
             if not reader.stdout.readline():
@@ -112,7 +120,8 @@ def standing_reader(sockets: Path, reads_s: float = 5.0) -> Iterator[int]:
             reader.kill()
 
 
-def _read(sockets: Path) -> None:
+def read_all(sockets: Path) -> None:
+    """Subscribe to all that the nodes of a rig publish, tell so by a line, and read until the process ends."""
     context = zmq.Context[Any]()
     socket = context.socket(zmq.SUB)
     socket.subscribe(b"")
@@ -127,7 +136,3 @@ def _read(sockets: Path) -> None:
     sys.stdout.flush()
     while True:
         socket.recv_multipart()
-
-
-if __name__ == "__main__":
-    _read(Path(sys.argv[1]))

@@ -140,7 +140,7 @@ def test_the_node_tells_the_sample_its_place_and_its_time(bench_of: Any) -> None
     bench, device = bench_of("afm_node@slave"), SimulatedInstrument(AFM)
     node = AfmNode(bench.context, AfmConfig(), device)
     fields = {"id": "a", "command": "set", "target": "afm_node", "parameters": {"lateral.x_m": -3e-9}}
-    assert "x = -3e-09 m" in node.on_control(bench.make("session/control", "console@master", **fields))
+    assert "x = -3 nm" in node.on_control(bench.make("session/control", "console@master", **fields))
     before = device.state
     assert before.part is not None
     bench.clock.advance_ns(1_000_000)

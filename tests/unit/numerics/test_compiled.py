@@ -24,6 +24,8 @@ NO_CONSTANTS = {
     "telenano.settings.known_packages",
     *("telenano.wire.errors", "telenano.settings.plugins"),
     *("telenano.settings.config", "telenano.settings.option"),
+    # the texts of lengths in sentences
+    "telenano.wire.lengths",
     # its functions reckon with results, and no step calls them
     "telenano.analysis.intervals",
 }
