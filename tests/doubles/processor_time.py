@@ -15,7 +15,7 @@ def ratio_of_costs(work: Callable[[], object], reference: Callable[[], object], 
     The garbage collector is off, as in a node, because its time grows with the number of tests run before.
     """
     costs: tuple[list[float], list[float]] = ([], [])
-    with _without_collector():
+    with without_collector():
         for _ in range(ROUNDS):
             for cost, call in zip(costs, (work, reference), strict=True):
                 cost.append(_cost_s(call))
@@ -31,7 +31,8 @@ def _cost_s(work: Callable[[], object]) -> float:
 
 
 @contextmanager
-def _without_collector() -> Iterator[None]:
+def without_collector() -> Iterator[None]:
+    """Let the garbage collector rest while the block runs."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:

@@ -4,7 +4,6 @@ result = tried(Schedule.drawn(7))
 result.breaks
 """
 
-import gc
 import json
 import shutil
 import tempfile
@@ -20,6 +19,7 @@ import reached
 from fault_schedule import Schedule
 from faulty_rig import RATE_HZ, run
 from outside_judge import Break
+from processor_time import without_collector
 
 from telenano.api import RecordedSession
 from telenano.recording.session_folder import SessionFolder
@@ -73,23 +73,12 @@ def tried(schedule: Schedule, *, reports: bool = True) -> Tried:
             found = (Break("goes_on", 0.0, text),)
             return Tried(schedule, found, frozenset(), 0.0, time.process_time() - begun_s, reported=False)
         report(folder, is_made=reports)
-        with _uncollected():
+        # Tens of thousands of records are made here that are kept, so a collection finds nothing.
+        with without_collector():
             session = outside_judge.Session(folder)
             breaks = outside_judge.judged(session)
             situations = reached.situations(session)
     return Tried(schedule, tuple(breaks), situations, session.end_s, time.process_time() - begun_s, reports)
-
-
-@contextmanager
-def _uncollected() -> Iterator[None]:
-    """Let the garbage collector rest while the block makes tens of thousands of records that it keeps."""
-    collects = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if collects:
-            gc.enable()
 
 
 def report(folder: Path, *, is_made: bool = True) -> None:
