@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 import zmq
 from ledger import record
+from neighbours import door
 from network_bench import payload
 from stack_rig import CONSTANT_PUSH, Rig, mode
-from test_flooded_endpoints import door
 
 LARGE = bytes(20 << 20)
 CONSOLE, BEACON, EVENTS = "console@master", "node/health", "session/event"
@@ -48,13 +48,13 @@ def test_a_frame_that_is_too_large_makes_no_node_deaf_to_the_next_command(rig: R
     rig.start("--duration", "300", "--set", CONSTANT_PUSH, rate=("--set", "realtime.rate_hz=250"))
     rig.wait_until(rig.running, "a running session")
     with zmq.Context[Any]() as context:
-        with door(context, rig, CONSOLE) as socket:
+        with door(context, rig.sockets, CONSOLE) as socket:
             number = send_beacons(socket, CONSOLE, 0)
             for topic in (b"session/control", BEACON.encode()):
                 socket.send_multipart([topic, LARGE])
             send_beacons(socket, CONSOLE, number)
         # One that has gone at once has nothing to be heard of.
-        with door(context, rig, CONSOLE) as socket:
+        with door(context, rig.sockets, CONSOLE) as socket:
             time.sleep(0.3)
             socket.send_multipart([b"session/control", LARGE])
             time.sleep(0.3)
