@@ -145,7 +145,8 @@ def figures(values: Sequence[float]) -> dict[str, float]:
 def measure(given: argparse.Namespace, folder: Path) -> dict[str, Any]:
     """Run a rig and return the results."""
     environment = {**os.environ, "TELENANO_RUNTIME_DIR": tempfile.mkdtemp(prefix="tnv-")}
-    duration_s = 2 * given.rounds * (given.window + SETTLE_S) + 30.0
+    # The rig outlasts the start of each browser, and is ended when the last window is over.
+    duration_s = 2 * given.rounds * (given.window + SETTLE_S) + PATIENCE_S * (1 + given.rounds * given.browser)
     out = folder / "rig"
     up = ["up", "--no-view", "--scenario", "touch", "--duration", str(duration_s), "--out", str(out), "--json"]
     without: list[tuple[int, int]] = []

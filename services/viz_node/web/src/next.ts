@@ -50,6 +50,8 @@ export interface Situation {
   offersHand: boolean;
   isHeld: boolean;
   touches: boolean;
+  /** How far the force at the hand swings from peak to peak by itself [N]; NaN where it does not. */
+  swing_n: number;
   /** Distance of tip and sample [nm], NaN where it is not known, and the forces at the hand and at the tip [N]. */
   separation_nm: number;
   pressed_n: number;
@@ -109,6 +111,11 @@ function armed(now: Situation): Next | undefined {
 function touching(now: Situation): Next {
   const distance = Number.isNaN(now.separation_nm) ? "The tip follows the hand" : `The tip is ${fixed(Math.max(0, now.separation_nm), now.separation_nm < 9.95 ? 1 : 0)} nm above the sample`;
   const back = now.wayBack ? offer("go back", now.wayBack, "g") : undefined;
+  // A hand that is let go takes the energy out of a swing, which more force on the sample does not.
+  if (!Number.isNaN(now.swing_n) && (now.isHeld || !now.offersHand)) {
+    const says = `The force swings by ${fixed(now.swing_n, 1)} N: let go${now.offersHand ? "" : " of the haptic device"}, then choose less delay or another law.`;
+    return { ...nothing("let go", says), offer: now.offersHand ? offer("let go", "Let go", "u") : undefined, other: back };
+  }
   if (!now.offersHand) {
     const says = now.touches ? `The tip touches: ${forceText(now.felt_n)} N come back to the hand.` : `${distance}: press with the haptic device.`;
     return { ...nothing(now.touches ? "touch" : "approach", says), other: back };

@@ -4,7 +4,7 @@ import { nextOf, STEPS, stepStates, type Situation } from "../src/next";
 const rest: Situation = {
   link: "open", linkText: "", kind: "live", role: "operator", hasRig: true, holdsControl: true, isControlFree: false, lease: "You hold control", leaseAction: "Give up control",
   isStopped: false, mayArm: true, tipMode: "follow", tipArmed: true, placed: true, runs: true, program: "", wayBack: "", going: "", stays: false,
-  offersHand: true, isHeld: false, touches: false, separation_nm: 9.7, pressed_n: 0, felt_n: 0,
+  offersHand: true, isHeld: false, touches: false, swing_n: NaN, separation_nm: 9.7, pressed_n: 0, felt_n: 0,
 };
 const at = (changes: Partial<Situation>): [string, string | undefined, string | undefined] => {
   const { step, offer, other } = nextOf({ ...rest, ...changes });
@@ -33,6 +33,10 @@ describe("what is next", () => {
     ["a free hand", {}, ["approach", "hold", undefined]],
     ["a hand that is held", { isHeld: true }, ["approach", "lower", "let go"]],
     ["a hand that presses", { isHeld: true, touches: true }, ["let go", "let go", "lower"]],
+    ["a swing while the tip is off the sample", { isHeld: true, swing_n: 4.7 }, ["let go", "let go", undefined]],
+    ["a swing while the tip touches", { isHeld: true, touches: true, swing_n: 4.7 }, ["let go", "let go", undefined]],
+    ["a swing of a device", { offersHand: false, touches: true, swing_n: 4.7 }, ["let go", undefined, undefined]],
+    ["a swing after which the hand is free", { swing_n: 4.7 }, ["approach", "hold", undefined]],
     ["a tip that rests on the sample", { touches: true }, ["touch", "hold", undefined]],
     ["a device is the hand", { offersHand: false }, ["approach", undefined, undefined]],
     ["an observer", { role: "observer" }, ["", undefined, undefined]],
@@ -48,7 +52,7 @@ describe("what is next", () => {
       link: ["connecting", "open", "lost", "refused"], kind: ["live", "recording"], role: ["operator", "observer", "pupil", "teacher"], hasRig: [true, false],
       holdsControl: [true, false], isControlFree: [true, false], isStopped: [true, false], tipMode: ["follow", "hold", "retracted", "retracting", "estop", ""],
       runs: [true, false], program: ["", "scan"], wayBack: ["", "Go back"], going: ["", "on its way"], stays: [true, false], placed: [true, false],
-      offersHand: [true, false], isHeld: [true, false], touches: [true, false], separation_nm: [NaN, -1.3, 0.04, 9.7, 110],
+      offersHand: [true, false], isHeld: [true, false], touches: [true, false], swing_n: [NaN, 4.7], separation_nm: [NaN, -1.3, 0.04, 9.7, 110],
     };
     // a seeded walk through all of them
     let seed = 11;

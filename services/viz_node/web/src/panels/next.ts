@@ -2,6 +2,7 @@ import type { Cockpit, Panel } from "../cockpit";
 import { make, part } from "../dom";
 import { LeaseBar, leaseOffer } from "../lease";
 import { nextOf, STEPS, stepStates, type Act, type Next, type Offer, type Situation } from "../next";
+import { swingOf } from "../state";
 
 const AFM = "afm/state/slave";
 const HAND = "haptic/state/master";
@@ -138,6 +139,7 @@ export class NextPanel implements Panel {
       offersHand: hand.isOffered,
       isHeld: hand.isHeld,
       touches: found("in_contact") === true,
+      swing_n: swingOf(store)?.peakToPeak ?? NaN,
       separation_nm: store.last("tip", "separation") * 1e9,
       pressed_n: store.last("hand", "force"),
       felt_n: store.last("command", "tip_force"),
