@@ -18,6 +18,15 @@ const ARROW_PX = 56;
 /** From the end of the tip to the words beside it [px]. */
 const SAYS_PX = 10;
 
+/** What is there to be seen: in nm and nN, of the newest samples. */
+interface Seen {
+  separation: number;
+  force: number;
+  touches: boolean;
+  meniscus: boolean;
+  limit: number;
+}
+
 /** Tip and sample from the side, and their distance on a scale that shows 0.1 nm as well as 100 nm. */
 export class GapPicture {
   private readonly canvas = make("canvas", { "aria-hidden": "true" });
@@ -35,27 +44,19 @@ export class GapPicture {
     this.drawn = "";
   }
 
+  /** Draw tip and sample, as often as there are frames. */
   draw(): void {
     const { clientWidth: width, clientHeight: height } = this.root;
     if (!width || !height) return;
-    const { store } = this;
-    const separation = store.last("tip", "separation") * NM;
-    const force = store.last("tip", "force") * NM;
-    const [touches, meniscus] = [store.fact(AFM, "in_contact") === true, store.fact(AFM, "meniscus") === true];
-    const speed = this.speed();
-    // what is felt in the place of a force has no limit in newtons
-    const limit = typeof store.fact(AFM, "felt_channel") === "string" ? NaN : store.forceLimit_n * NM;
-    const words = { ...gapWords(separation, force, speed, touches, meniscus), limit: limitWords(limit) };
+    const { separation, force, touches, meniscus, limit } = this.seen();
     const top = ABOVE_PX;
     const bottom = height - BELOW_PX;
     const toY = (nm: number): number => bottom - gapShare(nm) * (bottom - top);
     const apex = Number.isNaN(separation) ? toY(100) : toY(separation);
     // half a pixel is not seen
-    const key = [width, height, Math.round(2 * apex), Math.round(arrowShare(force, limit) * 2 * ARROW_PX), touches, meniscus, ...Object.values(words)].join();
+    const key = [width, height, Math.round(2 * apex), Math.round(arrowShare(force, limit) * 2 * ARROW_PX), touches, meniscus, Number.isNaN(separation), limit].join();
     if (key === this.drawn) return;
     this.drawn = key;
-    const label = `From the side: the tip is ${words.gap}; ${words.force}${words.limit && `, ${words.limit}`}; it ${words.speed.replace(/^(?=\d)/, "moves ")}`;
-    if (this.root.getAttribute("aria-label") !== label) this.root.setAttribute("aria-label", label);
     const ratio = devicePixelRatio;
     if (this.canvas.width !== Math.round(width * ratio) || this.canvas.height !== Math.round(height * ratio)) Object.assign(this.canvas, { width: Math.round(width * ratio), height: Math.round(height * ratio) });
     const pen = this.canvas.getContext("2d")!;
@@ -64,18 +65,39 @@ export class GapPicture {
     pen.font = "12px system-ui";
     const x = SCALE_PX + Math.max(TIP_PX + 6, (width - SCALE_PX) * 0.25);
     // the words begin where the tip and the line of its limit end
-    this.says.style.left = `${x + TIP_PX + SAYS_PX}px`;
+    const left = `${x + TIP_PX + SAYS_PX}px`;
+    if (this.says.style.left !== left) this.says.style.left = left;
     this.drawSample(pen, width, height, toY(0), x, touches ? apex : toY(0));
     this.drawScale(pen, width, toY, apex);
     // in contact the water stands around the tip
     if (meniscus) drawBridge(pen, x, Math.min(apex, toY(0) - 6), toY(0), colour("water"));
     drawTip(pen, x, apex, width, Number.isNaN(separation) ? colour("line") : colour("quiet"));
-    if (words.limit) drawLimit(pen, x, apex);
+    if (limitWords(limit)) drawLimit(pen, x, apex);
     drawArrow(pen, x, apex, arrowShare(force, limit) * ARROW_PX, colour("tip"));
+  }
+
+  /** Say it in words and numbers, together with the other numbers and no faster than a person can read. */
+  write(): void {
+    const { separation, force, touches, meniscus, limit } = this.seen();
+    const words = { ...gapWords(separation, force, this.speed(), touches, meniscus), limit: limitWords(limit) };
+    const label = `From the side: the tip is ${words.gap}; ${words.force}${words.limit && `, ${words.limit}`}; it ${words.speed.replace(/^(?=\d)/, "moves ")}`;
+    if (this.root.getAttribute("aria-label") !== label) this.root.setAttribute("aria-label", label);
     for (const [name, text] of Object.entries(words)) {
       const line = this.words[name as keyof typeof words];
       if (line.textContent !== text) line.textContent = text;
     }
+  }
+
+  private seen(): Seen {
+    const { store } = this;
+    return {
+      separation: store.last("tip", "separation") * NM,
+      force: store.last("tip", "force") * NM,
+      touches: store.fact(AFM, "in_contact") === true,
+      meniscus: store.fact(AFM, "meniscus") === true,
+      // what is felt in the place of a force has no limit in newtons
+      limit: typeof store.fact(AFM, "felt_channel") === "string" ? NaN : store.forceLimit_n * NM,
+    };
   }
 
   private drawSample(pen: CanvasRenderingContext2D, width: number, height: number, surface: number, x: number, dent: number): void {

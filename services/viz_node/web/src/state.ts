@@ -92,11 +92,16 @@ function doingOf(store: Store): string {
   return mode === "follow" ? "the tip follows the hand" : "";
 }
 
+/** What was found of the samples up to a time [s]: several panels ask for it. */
+const swings = new WeakMap<Store, { until: number; found: ReturnType<typeof oscillationIn> }>();
+
 /** How the force of the tip at the hand's scale has been swinging for the last seconds; undefined where it has not. */
 export function swingOf(store: Store): ReturnType<typeof oscillationIn> {
   const ring = store.rings.get("command");
   const column = store.column("command", "tip_force");
   if (!ring?.length || column < 0) return undefined;
+  const known = swings.get(store);
+  if (known && known.until === ring.newest) return known.found;
   const first = ring.indexAt(ring.newest - WATCHED_S);
   const step = Math.max(1, Math.floor((ring.length - first) / SAMPLES));
   const [times, values]: [number[], number[]] = [[], []];
@@ -106,5 +111,7 @@ export function swingOf(store: Store): ReturnType<typeof oscillationIn> {
     times.push(ring.time(i));
     values.push(value);
   }
-  return oscillationIn(times, values, FELT_N);
+  const found = oscillationIn(times, values, FELT_N);
+  swings.set(store, { until: ring.newest, found });
+  return found;
 }

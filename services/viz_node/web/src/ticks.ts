@@ -27,13 +27,18 @@ export function tickText(value: number, digits = 3): string {
 
 /** Places and texts of ticks between two numbers, at most so many of them, at 1, 2 or 5 times a power of ten. */
 export function ticks(min: number, max: number, most = 4): [number, string][] {
+  return withTexts(tickPlaces(min, max, most));
+}
+
+/** The places of such ticks alone. */
+export function tickPlaces(min: number, max: number, most = 4): number[] {
   const rough = (max - min) / most;
   const power = 10 ** Math.floor(Math.log10(rough));
   const steps = [0.2, 0.5, 1, 2, 5, 10].map((factor) => factor * power);
   const at = steps.findIndex((candidate, i) => i > 1 && candidate >= rough);
   // a single number beside an axis tells no scale, so the next finer step has its turn
   const places = placesOf(min, max, steps[at]!);
-  return withTexts(places.length > 1 ? places : placesOf(min, max, steps[at - 1]!));
+  return places.length > 1 ? places : placesOf(min, max, steps[at - 1]!);
 }
 
 /** All multiples of a step between two numbers. */

@@ -69,6 +69,7 @@ export class HandPanel implements Panel {
       const value = store.last(stream, column) * factor;
       show(this.values[i]!, Number.isNaN(value) ? "–" : `${fixed(value, 2)} ${unit}`);
     });
+    this.gap.write();
   }
 }
 

@@ -6,6 +6,8 @@ import { swingOf } from "../state";
 
 const AFM = "afm/state/slave";
 const HAND = "haptic/state/master";
+/** The time after which numbers in a sentence are renewed [ms]: faster nobody reads them. */
+const SAYS_MS = 200;
 /** What one press of the button that lowers the hand means [m]. */
 const LOWER_M = 0.5e-3;
 const NAMES: Record<(typeof STEPS)[number], string> = { connect: "Connect", control: "Take control", arm: "Arm", approach: "Approach", touch: "Touch", "let go": "Let go" };
@@ -22,6 +24,7 @@ export class NextPanel implements Panel {
   private next: Next | undefined;
   private shown = "";
   private state = "";
+  private saidAt = -Infinity;
 
   constructor(
     root: HTMLElement,
@@ -48,9 +51,13 @@ export class NextPanel implements Panel {
     const going = this.cockpit.commands.goingAt(now);
     this.way.hidden = !going;
     if (going) this.way.value = going.share;
-    if (this.says.textContent !== next.says) this.says.textContent = next.says;
     const isLive = this.cockpit.store.source.kind === "live";
     const state = `${next.step}${isLive}${holds}`;
+    const key = JSON.stringify([next.offer, next.other]);
+    if (state !== this.state || key !== this.shown || now - this.saidAt >= SAYS_MS) {
+      this.saidAt = now;
+      if (this.says.textContent !== next.says) this.says.textContent = next.says;
+    }
     if (state !== this.state) {
       this.state = state;
       const states = stepStates(next.step, holds);
@@ -63,7 +70,6 @@ export class NextPanel implements Panel {
         item.textContent = `${states[name] === "done" ? "✓ " : ""}${NAMES[name]}`;
       });
     }
-    const key = JSON.stringify([next.offer, next.other]);
     if (key === this.shown) return;
     this.shown = key;
     const had = this.choices.contains(document.activeElement) ? document.activeElement : undefined;
@@ -139,7 +145,7 @@ export class NextPanel implements Panel {
       offersHand: hand.isOffered,
       isHeld: hand.isHeld,
       touches: found("in_contact") === true,
-      swing_n: swingOf(store)?.peakToPeak ?? NaN,
+      swing_n: (store.source.kind === "live" && swingOf(store)?.peakToPeak) || NaN,
       separation_nm: store.last("tip", "separation") * 1e9,
       pressed_n: store.last("hand", "force"),
       felt_n: store.last("command", "tip_force"),

@@ -3,7 +3,7 @@ import "uplot/dist/uPlot.min.css";
 import { colour, make } from "../dom";
 import { grid, minMax, type Point } from "../ring";
 import type { Store } from "../store";
-import { TICK_PX, tickTexts, ticks } from "../ticks";
+import { TICK_PX, tickPlaces, tickTexts } from "../ticks";
 import { drawnTogether, SHORT, type Drawn } from "./catalog";
 import { ForceDistance } from "./force_distance";
 import type { ScopeSpec } from "./layout";
@@ -135,7 +135,7 @@ export class Plot {
 
   private drawTime(window: Window): void {
     const { from, to, zero, width } = window;
-    const buckets = Math.max(50, Math.min(600, Math.round(this.area.clientWidth / 2)));
+    const buckets = Math.max(50, Math.min(600, Math.round(this.plot!.width / 2)));
     const times = Array.from(grid(from, to, buckets), (time) => time - zero);
     const series = this.spec.curves.map((curve, i): Point[] => {
       const ring = window.ring(curve.stream);
@@ -258,7 +258,8 @@ export class Plot {
     const labels = (i: number) => (_: uPlot, splits: number[]): string[] => tickTexts(splits).map((text, at) => (at === splits.length - 1 && this.units[i] ? `${text} ${this.units[i]}` : text));
     // powers of ten alone have a label where the axis is one of them
     const powers = (_: uPlot, splits: (number | null)[]): string[] => splits.map((value) => (value && Math.abs(Math.log10(value) % 1) < 1e-9 ? `${value}` : ""));
-    const splitsUpwards = (plot: uPlot, _: number, min: number, max: number): number[] => ticks(min, max, Math.max(1, Math.floor(plot.over.clientHeight / TICK_PX))).map(([at]) => at);
+    // The height that the plot knows: to read that of an element makes the browser lay out the page in each frame.
+    const splitsUpwards = (plot: uPlot, _: number, min: number, max: number): number[] => tickPlaces(min, max, Math.max(1, Math.floor(plot.bbox.height / devicePixelRatio / TICK_PX)));
     const side = (i: number): uPlot.Axis => ({ ...axis, scale: `y${i}`, side: i ? 1 : 3, size, ...(isSpectrum ? { space: 22 } : { splits: splitsUpwards }), ...(i ? { grid: { show: false } } : {}), values: isSpectrum ? powers : labels(i) });
     const scales = Object.fromEntries(this.axes.map((i) => [`y${i}`, isSpectrum ? { distr: 3 as const, log: 10 as const } : { range: (_: uPlot, min: number | null, max: number | null) => this.rangeOf(i, min, max) }]));
     return new uPlot(
