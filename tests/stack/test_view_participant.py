@@ -136,7 +136,9 @@ class Person(Page):
 
     def press(self) -> None:
         """Hold the hand down for a while, with the pointer."""
-        box = self.page.locator("#hand-pad").bounding_box()
+        pad = self.page.locator("#hand-pad")
+        pad.wait_for()
+        box = pad.bounding_box()
         x, y = box["x"] + box["width"] / 2, box["y"] + 20.0
         self.page.mouse.move(x, y)
         self.page.mouse.down()
