@@ -110,7 +110,7 @@ test: setup ## Run lint, the core's tests and one rig of real processes, or PACK
 
 # the tests of the packages, deaths, stalls, two machines, containers, browsers, the lines of the documents, and the
 # grids that one law stands for
-check: setup ## Run everything else that ends by itself, before a change is merged; about a quarter of an hour.
+check: setup ## Run everything else that ends by itself, before a change is merged; less than half an hour.
 	-@$(MAKE) --no-print-directory page
 	@failed=0; \
 	$(BIN)/pytest -m "check and not stack and not endurance" $(SIDE_BY_SIDE) --ignore tests/stack tests || failed=1; \
