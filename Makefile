@@ -91,6 +91,10 @@ demo: ## Set up what the rig needs and run the experiment of Fig. 12.
 	-@$(MAKE) --no-print-directory page
 	$(BIN)/telenano up fig12 --set realtime.rate_hz=500 --out $(OUT) --overwrite
 
+# Files in the order of their names: sorted by how many tests they have, those of a single long test would come last, and
+# one processor would wait for the other.
+SIDE_BY_SIDE := -n 2 --dist loadfile --no-loadscope-reorder
+
 # Lint and types are checked beside the tests and printed after them; then the rig has the machine to itself.
 # PACKAGE=laws runs the tests of packages/telenano-laws alone. A page that is older than its sources is built anew; what
 # needs one is skipped on a machine that cannot build it.
@@ -99,7 +103,7 @@ test: setup ## Run lint, the core's tests and one rig of real processes, or PACK
 	@$(if $(PACKAGE),exec $(BIN)/pytest packages/telenano-$(PACKAGE:telenano-%=%)/tests;) \
 	mkdir -p out; failed=0; \
 	{ $(LINT); } >out/lint.txt 2>&1 & lint=$$!; \
-	$(BIN)/pytest -m "not stack and not check and not endurance" -n 2 --dist loadfile --ignore tests/stack tests || failed=1; \
+	$(BIN)/pytest -m "not stack and not check and not endurance" $(SIDE_BY_SIDE) --ignore tests/stack tests || failed=1; \
 	wait $$lint || failed=1; cat out/lint.txt; \
 	$(BIN)/pytest -m "stack and not check and not endurance" tests/stack || failed=1; \
 	exit $$failed
@@ -109,8 +113,8 @@ test: setup ## Run lint, the core's tests and one rig of real processes, or PACK
 check: setup ## Run everything else that ends by itself, before a change is merged; less than half an hour.
 	-@$(MAKE) --no-print-directory page
 	@failed=0; \
-	$(BIN)/pytest -m "check and not stack and not endurance" -n 2 --dist loadfile --ignore tests/stack tests || failed=1; \
-	$(BIN)/pytest -m "not stack and not endurance" -n 2 --dist loadfile packages || failed=1; \
+	$(BIN)/pytest -m "check and not stack and not endurance" $(SIDE_BY_SIDE) --ignore tests/stack tests || failed=1; \
+	$(BIN)/pytest -m "not stack and not endurance" $(SIDE_BY_SIDE) packages || failed=1; \
 	$(BIN)/pytest -m "check and stack and not endurance" tests/stack || failed=1; \
 	exit $$failed
 

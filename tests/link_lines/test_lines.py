@@ -38,6 +38,7 @@ def test_of_four_hundred_lines_what_is_said_is_right() -> None:
 
 
 @pytest.mark.check("takes 10 s")
+@pytest.mark.drawn(0.0, "telenano/analysis/", "telenano/link/", "telenano/timing/")
 def test_a_report_tells_what_lines_took_before_and_after_a_change_that_lasts() -> None:
     seeds = [seed for seed in range(23_000, 23_040) if draw_line(seed).kind in ("step", "reorders", "jitters in order")]
     wrong = []

@@ -19,6 +19,9 @@ from telenano.testing import run
 from telenano.virtual import NODES, record_session
 from telenano.wire.errors import RecordingError
 
+# The share of its longer tests that is in `make check` where the change touches none of these folders.
+pytestmark = pytest.mark.drawn(0.5, "telenano/recording/", "telenano/wire/", "telenano/rerun/", "telenano/analysis/")
+
 # so many messages of a recording are changed at once
 AT_ONCE = 25
 

@@ -81,7 +81,8 @@ def course(law: str, half: str) -> Course:
     )
 
 
-@pytest.mark.check("runs every law")
+@pytest.mark.check("takes a second")
+@pytest.mark.drawn(0.3, "telenano/laws/", "packages/telenano-laws/", "services/controller/")
 @pytest.mark.parametrize("law", LAWS)
 def test_the_half_at_the_tip_comes_back_without_a_jump_of_the_force(law: str) -> None:
     found = course(law, "controller@slave")
@@ -93,7 +94,8 @@ def test_the_half_at_the_tip_comes_back_without_a_jump_of_the_force(law: str) ->
     assert found.way_m <= 1.5e-3
 
 
-@pytest.mark.check("runs every law")
+@pytest.mark.check("takes a second")
+@pytest.mark.drawn(0.3, "telenano/laws/", "packages/telenano-laws/", "services/controller/")
 @pytest.mark.parametrize("law", LAWS)
 def test_the_half_at_the_hand_comes_back_over_a_tip_that_is_withdrawn(law: str) -> None:
     found = course(law, "controller@master")

@@ -139,8 +139,8 @@ def on_bus(cell: Cell, arrivals: Arrivals, folder: Path) -> Trajectory:
     return course_of(rig)
 
 
-@pytest.mark.check("takes 2.4 s")
-@pytest.mark.drawn(0.5)
+@pytest.mark.check("takes 4 s")
+@pytest.mark.drawn(0.12)
 @pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.grid(law="passivity")

@@ -26,7 +26,7 @@ LINES = (
 
 
 @pytest.mark.check("takes 10 s")
-@pytest.mark.drawn(0.02)
+@pytest.mark.drawn(0.007)
 @pytest.mark.parametrize(
     ("law", "kind"),
     [("wave", kind) for kind in KINDS] + [(law, kind) for law in LAWS if law != "wave" for kind in LINES],

@@ -17,6 +17,9 @@ from telenano.lockstep.trajectory import Trajectory
 from telenano.virtual import Range, constant_timing
 from telenano.wire import Message
 
+# The share of its longer tests that is in `make check` where the change touches none of these folders.
+pytestmark = pytest.mark.drawn(0.4, "telenano/laws/", "telenano/afm/", "services/controller/")
+
 SEED = 7
 Points = tuple[tuple[float, float], ...]
 

@@ -206,8 +206,8 @@ def differences(bus: Trajectory, expected: Trajectory) -> dict[str, float]:
     return found
 
 
-@pytest.mark.check("takes 1.7 s")
-@pytest.mark.drawn(0.25)
+@pytest.mark.check("takes 8 s")
+@pytest.mark.drawn(0.15)
 @pytest.mark.usefixtures("loop")
 @pytest.mark.parametrize(("environment", "round_trip_ms"), [("spring", 0.0), ("tip_sample", 4.0)])
 @pytest.mark.grid(law="passivity")

@@ -98,7 +98,7 @@ def assert_nothing_moves(rig: ResetRig, time_s: float = 0.3) -> None:
     assert not rig.faults()
 
 
-@pytest.mark.drawn(0.5)
+@pytest.mark.drawn(0.35, "telenano/afm/", "telenano/hand/", "telenano/runtime/loop/")
 @pytest.mark.grid(way="emergency stop")
 @pytest.mark.parametrize("way", WAYS)
 def test_arming_leaves_tip_and_hand_where_they_are(way: str) -> None:

@@ -32,12 +32,14 @@ FIGURE_AND_PUSH = "haptic_node.operator.points=[{time_s: 0.8, force_n: 0.0}, {ti
 {time_s: 2.6, force_n: 1.0}, {time_s: 2.9, force_n: 2.0}, {time_s: 4.5, force_n: 2.0}, {time_s: 4.6, force_n: 0.0}, \
 {time_s: 8.2, force_n: 0.0}, {time_s: 8.6, force_n: 1.0}]"
 ROOT = Path(__file__).resolve().parents[2]
-# A test about safety has a rig of either way. That of `site` is in `make check` where the change touches what joins
-# nodes, and in `make endurance` otherwise: the guards that it tries are those of `node`, in one order with their mates.
+# The rig with a process a site is in `make check` where the change touches what joins nodes, and in `make endurance`
+# otherwise: the guards that it tries are those of `node`, in one order with their mates.
+OF_A_SITE = pytest.mark.drawn(0.0, "telenano/runtime/site/", "services/site/")
+# A test about safety has a rig of either way.
 # Tests that follow one another on one rig keep their order, so the parameter sorts none of them.
 BOTH_WAYS = pytest.mark.parametrize(
     "processes",
-    ["node", pytest.param("site", marks=pytest.mark.drawn(0.0, "telenano/runtime/site/", "services/site/"))],
+    ["node", pytest.param("site", marks=OF_A_SITE)],
     indirect=True,
     scope="function",
 )

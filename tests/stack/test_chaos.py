@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from ledger import record
 from recovered import RESTARTED, SOON_NS, STATE_OF, Kill, after_restart, coupled, recover
-from stack_rig import CONSTANT_PUSH, Rig
+from stack_rig import CONSTANT_PUSH, OF_A_SITE, Rig
 
 from telenano.recording.reader import Recording
 
@@ -27,14 +27,16 @@ KILLS = {
     # one of each process
     "site": ("controller@slave", "haptic_node@master"),
 }
-BOTH = pytest.mark.parametrize("processes", list(KILLS), indirect=True, scope="module")
+BOTH = pytest.mark.parametrize(
+    "processes", ["node", pytest.param("site", marks=OF_A_SITE)], indirect=True, scope="module"
+)
 # The recorder is killed in this way.
 OF_NODES = pytest.mark.parametrize("processes", ["node"], indirect=True, scope="module")
 
 
 def of_kills(*cases: tuple[str, tuple[str, ...]]) -> pytest.MarkDecorator:
     """Have a test for these nodes, of each way in which the nodes of a rig are put into processes."""
-    rows = [(way, node) for way, nodes in cases for node in nodes]
+    rows = [pytest.param(way, node, marks=OF_A_SITE if way == "site" else ()) for way, nodes in cases for node in nodes]
     return pytest.mark.parametrize(("processes", "node"), rows, indirect=["processes"], scope="module")
 
 

@@ -13,6 +13,7 @@ from telenano_lab.studies.pages.gallery import FOLDER, page_of
 
 pytestmark = [pytest.mark.browser, needs_browser]
 
+FURTHER = pytest.mark.drawn(0.0, "services/viz_node/web/", "packages/telenano-lab/telenano_lab/studies/pages/")
 SIZES = (("laptop", 1366, 768), ("desktop", 1920, 1080), ("tablet", 820, 1100), ("phone", 390, 844))
 SAID = "document.querySelector('.gallery-said').textContent"
 MOVE = """([law, place]) => {
@@ -29,16 +30,7 @@ def move(page: Page, law: str, delay_ms: float) -> str:
     return str(page.value(SAID))
 
 
-@pytest.mark.parametrize(
-    "scheme",
-    [
-        "light",
-        pytest.param(
-            "dark",
-            marks=pytest.mark.drawn(0.0, "services/viz_node/web/", "packages/telenano-lab/telenano_lab/studies/pages/"),
-        ),
-    ],
-)
+@pytest.mark.parametrize("scheme", ["light", pytest.param("dark", marks=FURTHER)])
 def test_the_static_page_shows_when_a_root_crosses_and_fits_every_window(
     chromium: Any, tmp_path: Path, scheme: str
 ) -> None:
@@ -68,6 +60,7 @@ def test_the_static_page_shows_when_a_root_crosses_and_fits_every_window(
     window.close()
 
 
+@FURTHER
 def test_the_tab_of_the_view_shows_the_same(chromium: Any, tmp_path: Path) -> None:
     view = View(dict(os.environ), str(Made(tip_n=hand_force_n).write(tmp_path)))
     try:

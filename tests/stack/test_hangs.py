@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from ledger import record
-from stack_rig import Rig
+from stack_rig import BOTH_WAYS, Rig
 
 from telenano.wire.nodes import START_ORDER
 
@@ -22,14 +22,11 @@ def rig(rig: Rig) -> Rig:
     return rig
 
 
-BOTH = pytest.mark.parametrize("processes", ["node", "site"], indirect=True)
-
-
 def processes(rig: Rig) -> dict[str, int | None]:
     return {node: rig.process_of(node) for node in START_ORDER}
 
 
-@BOTH
+@BOTH_WAYS
 def test_a_node_that_spins_is_started_again_and_one_that_is_stopped_is_left_alone(rig: Rig) -> None:
     rig.start("--duration", "600")
     rig.wait_until(rig.running, "a running session")
@@ -68,7 +65,7 @@ def test_a_node_that_spins_is_started_again_and_one_that_is_stopped_is_left_alon
 
 
 @pytest.mark.endurance
-@BOTH
+@BOTH_WAYS
 @pytest.mark.parametrize("duration_s", [3.0, 10.0])
 def test_every_node_that_is_stopped_keeps_its_process(rig: Rig, duration_s: float) -> None:
     rig.start("--duration", "600")

@@ -44,6 +44,8 @@ def states_around_switches(rig: Rig) -> list[list[Any]]:
     return [[state for state in tip if abs(state.t_ns - at_ns) < AROUND_NS] for at_ns in switches]
 
 
+# Both halves as nodes in virtual time are in `tests/unit/laws/test_law_switch.py`.
+@pytest.mark.drawn(0.0, "telenano/laws/", "telenano/runtime/loop/", "services/controller/")
 def test_switching_the_law_moves_neither_tip_nor_hand(pressing_rig: Rig) -> None:
     for _ in range(3):
         switches = states_around_switches(pressing_rig)

@@ -12,6 +12,7 @@ SCRIPTS = sorted(path.name for path in HERE.glob("*.py") if '\nif __name__ == "_
 
 
 @pytest.mark.check("takes a second each")
+@pytest.mark.drawn(0.0, "tests/", "benchmarks/")
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_a_script_finds_what_it_imports(name: str, tmp_path: Path) -> None:
     code = f"import runpy, sys; sys.path[0] = {str(HERE)!r}; runpy.run_path({str(HERE / name)!r}, run_name='script')"

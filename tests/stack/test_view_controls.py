@@ -14,8 +14,9 @@ from page_without_rig import TOKEN, SaidRig, served
 pytestmark = [pytest.mark.browser, needs_browser, pytest.mark.timeout(300)]
 
 PHONE, TABLET, LAPTOP = {"width": 390, "height": 844}, {"width": 820, "height": 1100}, {"width": 1366, "height": 768}
-# A window between two others, or a second way to the same rule: where the change touches the page.
-FURTHER = pytest.mark.drawn(0.0, "services/viz_node/")
+# Where the change touches the page or what serves it: rules that are not about stopping, arming and lost forces, a
+# window beside the narrowest one, and a second way to the same rule. Those of single modules are in Vitest as well.
+FURTHER = pytest.mark.drawn(0.0, "services/viz_node/", "telenano/serving/")
 
 
 @pytest.fixture
@@ -29,7 +30,7 @@ def box(page: Page, selector: str) -> dict[str, float]:
     return found
 
 
-@pytest.mark.parametrize("size", [PHONE, pytest.param(TABLET, marks=FURTHER), LAPTOP])
+@pytest.mark.parametrize("size", [PHONE, *(pytest.param(size, marks=FURTHER) for size in (TABLET, LAPTOP))])
 def test_after_a_stop_arm_is_the_one_filled_button_and_no_second_tap_on_stop_arms(
     chromium: Any, rig_page: tuple[SaidRig, str], size: dict[str, int]
 ) -> None:
@@ -120,6 +121,7 @@ def test_arming_shows_its_two_choices_with_their_numbers_and_any_input_ends_the_
     assert page.faults == []
 
 
+@FURTHER
 def test_what_is_next_leads_from_control_to_letting_go_by_keys_alone(
     chromium: Any, rig_page: tuple[SaidRig, str]
 ) -> None:
@@ -152,6 +154,7 @@ def test_what_is_next_leads_from_control_to_letting_go_by_keys_alone(
     assert page.faults == []
 
 
+@FURTHER
 def test_the_stop_the_numbers_and_both_pictures_are_in_one_window_of_a_phone(
     chromium: Any, rig_page: tuple[SaidRig, str]
 ) -> None:
@@ -181,7 +184,8 @@ _SMALL = """[...document.querySelectorAll("button, select, input, summary")].fil
 }).map((found) => `${found.id} ${found.textContent} ${found.getBoundingClientRect().width}`)"""
 
 
-@pytest.mark.parametrize("size", [PHONE, pytest.param(TABLET, marks=FURTHER)])
+@FURTHER
+@pytest.mark.parametrize("size", [PHONE, TABLET])
 def test_what_a_finger_presses_is_large_enough(
     chromium: Any, rig_page: tuple[SaidRig, str], size: dict[str, int]
 ) -> None:
@@ -193,15 +197,13 @@ def test_what_a_finger_presses_is_large_enough(
         assert page.value(_SMALL) == [], place
 
 
+@FURTHER
 @pytest.mark.parametrize(
     ("scheme", "size"),
     [
-        pytest.param("light", PHONE, id="light-phone"),
-        pytest.param("dark", LAPTOP, id="dark-laptop"),
-        pytest.param("light", TABLET, id="light-tablet", marks=FURTHER),
-        pytest.param("light", LAPTOP, id="light-laptop", marks=FURTHER),
-        pytest.param("dark", PHONE, id="dark-phone", marks=FURTHER),
-        pytest.param("dark", TABLET, id="dark-tablet", marks=FURTHER),
+        pytest.param(scheme, size, id=f"{scheme}-{name}")
+        for scheme in ("light", "dark")
+        for name, size in (("phone", PHONE), ("tablet", TABLET), ("laptop", LAPTOP))
     ],
 )
 def test_axe_finds_nothing_in_any_part_of_the_page(
@@ -238,7 +240,7 @@ _CUT = """[...document.querySelectorAll(".plot")].flatMap((plot) => {
 })"""
 
 
-@pytest.mark.drawn(0.0, "services/viz_node/web/")
+@FURTHER
 @pytest.mark.parametrize("size", [PHONE, TABLET, LAPTOP], ids=["phone", "tablet", "laptop"])
 def test_titles_of_scopes_are_one_line_and_the_name_of_the_profile_is_whole(
     chromium: Any, rig_page: tuple[SaidRig, str], size: dict[str, int]
@@ -283,7 +285,8 @@ _ROWS = """["#status", "#next", "#answers", "main", "#hand-force", "#gap"].map((
 })"""
 
 
-@pytest.mark.parametrize("size", [PHONE, *(pytest.param(size, marks=FURTHER) for size in (TABLET, LAPTOP))])
+@FURTHER
+@pytest.mark.parametrize("size", [PHONE, TABLET, LAPTOP])
 def test_what_came_of_a_press_has_a_place_of_its_own_covers_no_number_and_moves_nothing(
     chromium: Any, rig_page: tuple[SaidRig, str], size: dict[str, int]
 ) -> None:
@@ -351,6 +354,7 @@ def test_a_page_whose_server_has_gone_calls_nothing_refused(chromium: Any) -> No
     page.until("/emergency stop: not sent/.test(document.querySelector('#events').textContent)", "the event")
 
 
+@FURTHER
 def test_control_goes_from_one_window_to_another_by_what_they_read_on_the_page(
     chromium: Any, rig_page: tuple[SaidRig, str]
 ) -> None:

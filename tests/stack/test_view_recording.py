@@ -84,6 +84,8 @@ def jump_s(page: Page) -> float:
     return float(page.value("telenano.cockpit.document.about.session_s[0]")) + JUMP_S
 
 
+# The page of a recording, where the change touches it; beside it an image in a recording is in `make check` as well.
+@pytest.mark.drawn(0.0, "services/viz_node/", "telenano/serving/")
 def test_a_person_finds_the_jump_to_contact_by_keys_alone_and_measures_it(chromium: Any, touch: View) -> None:
     page = open_read(chromium, touch)
     by_keys(Keyboard(page))

@@ -104,6 +104,7 @@ def test_a_stranger_brings_a_panel_in_thirty_lines(chromium: Any, site: Path, tm
     assert faults == []
 
 
+@pytest.mark.drawn(0.0, "services/viz_node/", "telenano/serving/", "telenano/extend/")
 def test_without_what_it_shows_it_is_not_there(chromium: Any, site: Path, tmp_path: Path) -> None:
     text, ids, faults = shown(chromium, site, tmp_path, "calm")
     assert text == "" and "wind" not in ids and faults == []

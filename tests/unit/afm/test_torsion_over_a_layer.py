@@ -14,7 +14,12 @@ from telenano.numerics import compiled_form
 from telenano.sections import AfmConfig
 from telenano.settings import validate
 
-pytestmark = pytest.mark.check("compiles a layer, takes 13 s")
+pytestmark = [
+    pytest.mark.check("compiles a layer, takes 13 s"),
+    pytest.mark.drawn(
+        0.0, "telenano/afm/", "telenano/numerics/", "packages/telenano-lab/telenano_lab/assembly/particles/"
+    ),
+]
 
 DEEP = {"base_min_m": -1e-6, "retract_position_m": -7e-7, "base_max_m": 2e-7}
 

@@ -13,7 +13,7 @@ from telenano.analysis.mean_interval import FEWEST_PARTS, mean_half_width
 
 
 @pytest.mark.check("makes hundreds of records")
-@pytest.mark.drawn(0.3)
+@pytest.mark.drawn(0.0, "telenano/analysis/")
 @pytest.mark.parametrize("name", ["1/f", "1/f^1.5", "1/f^2", "hand, 2 Hz", "hand, 2 Hz, 2nd order"])
 def test_a_hand_that_trembles_slowly_has_no_interval_within_a_third_of_a_second(name: str) -> None:
     known, _ = covered(name, 0.3, 200, 3)

@@ -19,6 +19,9 @@ from telenano.recording.site_clock import read_site_clock
 from telenano.recording.site_merge import merge_sites
 from telenano.recording.verify import verify
 
+# The share of its longer tests that is in `make check` where the change touches none of these folders.
+pytestmark = pytest.mark.drawn(0.5, "telenano/analysis/", "telenano/recording/", "telenano/timing/")
+
 # what differs with the clocks: names, times to the rounding of stamps, and what is said of the clocks
 FIGURES = ("verdict", "stable", "reason", "hold_ratio", "contact_x_cm", "release_force_nn", "greatest_pull_nn")
 CLOCKS = {
@@ -149,6 +152,7 @@ def _truth_s(made: Made, stamp_ns: int) -> float:
 
 
 @pytest.mark.check("takes 1.5 s")
+@pytest.mark.drawn(0.5, "telenano/analysis/", "telenano/timing/")
 @pytest.mark.parametrize("clock", CLOCKS)
 def test_recordings_of_both_sites_together_are_reported_as_one(
     tmp_path: Path, with_one_clock: dict[str, Any], clock: str

@@ -14,6 +14,9 @@ from telenano.analysis import Session, kept_summary, session_judge
 from telenano.analysis.kept_summary import KeptSummary, source_changed, source_digest
 from telenano.wire.errors import RecordingError
 
+# The share of its longer tests that is in `make check` where the change touches none of these folders.
+pytestmark = pytest.mark.drawn(0.4, "telenano/api/", "telenano/analysis/")
+
 
 @pytest.fixture
 def recording(recording_of: Callable[[str], Path], tmp_path: Path) -> Path:

@@ -67,7 +67,8 @@ def test_tremor_is_a_narrow_band_around_its_frequency() -> None:
     assert power[(frequencies > 6.0) & (frequencies < 12.0)].sum() > 0.8 * power.sum()
 
 
-@pytest.mark.check("takes 3.7 s")
+@pytest.mark.check("takes 8 s")
+@pytest.mark.drawn(0.0, "telenano/hand/")
 def test_the_wander_falls_with_the_frequency_and_begins_with_the_session() -> None:
     def seeded(seed: int) -> HandDisturbanceConfig:
         return HandDisturbanceConfig.model_validate({"wander": {"enabled": True, "rms_n": 0.1}, "seed": seed})

@@ -67,7 +67,8 @@ def test_a_link_reads_its_files_before_the_first_message(forward: dict[str, Any]
     assert opened == [] and len(fates) >= 500
 
 
-@pytest.mark.check("runs each law of the core as plain Python for some thousand ticks")
+@pytest.mark.check("runs each law of the core as plain Python for some thousand ticks, two seconds each")
+@pytest.mark.drawn(0.5, "telenano/laws/", "telenano/afm/", "telenano/hand/")
 @pytest.mark.parametrize("law", ["virtual_impedance", "position_force", "wave", "passivity"])
 def test_instrument_hand_and_law_take_their_steps_without_a_file(law: str, monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[list[str]] = []

@@ -10,6 +10,9 @@ from telenano.lockstep.simulation import SimulatedSession
 from telenano.settings.included import SCENARIO_DIRECTORY
 from telenano.wire.errors import ConfigError, RigError
 
+# The share of its longer tests that is in `make check` where the change touches none of these folders.
+pytestmark = pytest.mark.drawn(0.4, "telenano/laws/", "telenano/lockstep/", "telenano/sections/")
+
 ENVIRONMENTS = ("tip_sample", "spring")
 PRESS = {"kind": "force_profile", "points": [{"time_s": 0.5, "force_n": 0.0}, {"time_s": 0.9, "force_n": 1.0}]}
 # beyond what theory lets them bear: 43 ms on the spring of 20 N/m
@@ -131,7 +134,10 @@ def test_every_law_touches_the_sample_of_the_image(law: str) -> None:
 
 @pytest.mark.check("runs ten seconds of the loop as plain Python")
 @pytest.mark.usefixtures("plain_loop")
-@pytest.mark.parametrize("law", ["passivity", "model_mediated"])
+@pytest.mark.parametrize(
+    "law",
+    ["passivity", pytest.param("model_mediated", marks=pytest.mark.drawn(0.0, "telenano/laws/", "telenano/lockstep/"))],
+)
 def test_a_session_over_dots_that_ends_soon_after_the_touch_is_judged_before_it_is_at_rest(law: str) -> None:
     short = telenano.simulate("image", law=law, operator=PRESS, duration_s=4.0)
     # the tip has come through 10 nm of air, at the speed of a hand of 1 N

@@ -61,6 +61,8 @@ step = compiled_form(model.step)
 assert step(model.State(1.0, 0), 0.25) == model.step(model.State(1.0, 0), 0.25) == (1.5, 1)
 print(type(model.step).__name__, type(step).__name__)
 """
+# What is compiled into the folder of a user, and when: where the change touches it.
+KEPT = pytest.mark.drawn(0.0, "telenano/numerics/")
 
 
 @pytest.fixture
@@ -226,6 +228,7 @@ print("all")
 
 
 @pytest.mark.check("takes 1.2 s")
+@KEPT
 def test_incomplete_or_foreign_code_is_never_run_and_what_cannot_be_kept_is_used(tmp_path: Path) -> None:
     assert run_step(tmp_path, SPOIL).splitlines() == ["(0, [])", "all"]
 
@@ -239,6 +242,7 @@ print(sum(step.stats.cache_hits.values()))
 
 
 @pytest.mark.check("takes 1.4 s")
+@KEPT
 def test_a_folder_that_cannot_be_written_is_read_and_left_as_it_is(tmp_path: Path) -> None:
     assert run_step(tmp_path, READ_ONLY).split()[-1] == "0"
     # as the system of files of an image: root may write wherever the mode forbids it
@@ -281,6 +285,7 @@ print(run(2.5), run(2))
 
 
 @pytest.mark.check("takes 1.8 s")
+@KEPT
 def test_two_processes_that_compile_at_once_never_find_the_code_of_each_other(tmp_path: Path) -> None:
     assert run_step(tmp_path, AT_ONCE) == "(5.0, 'float') (4, 'int')"
 
@@ -345,6 +350,7 @@ def test_an_edited_package_never_runs_the_code_of_before(tmp_path: Path, kind: s
 
 
 @pytest.mark.check("takes 1.5 s")
+@KEPT
 def test_a_package_that_is_edited_while_a_process_runs_leaves_no_code(tmp_path: Path) -> None:
     install(tmp_path, "pack")
     write_package(tmp_path, FORCE)
@@ -354,6 +360,7 @@ def test_a_package_that_is_edited_while_a_process_runs_leaves_no_code(tmp_path: 
 
 
 @pytest.mark.check("takes 3.0 s")
+@KEPT
 def test_what_is_of_no_package_is_compiled_by_each_process(tmp_path: Path) -> None:
     for _ in range(2):
         run_step(tmp_path, PROGRAM + "assert not step.stats.cache_hits", installed=False)
@@ -425,6 +432,7 @@ def test_a_simulation_without_the_compiler_gives_the_same_bits(tmp_path: Path, s
 
 
 @pytest.mark.check("takes 1.4 s")
+@KEPT
 def test_what_is_not_marked_is_named_by_the_compiler(tmp_path: Path) -> None:
     program = """
 import model
@@ -438,6 +446,7 @@ except Exception as error:
 
 
 @pytest.mark.check("takes 1.3 s")
+@KEPT
 def test_a_model_that_cannot_be_compiled_is_a_sentence_before_anything_ran(tmp_path: Path) -> None:
     program = """
 import logging, model

@@ -22,6 +22,9 @@ from telenano.recording.reader import Recording
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.wire.errors import RecordingError
 
+# The share of its longer tests that is in `make check` where the change touches none of these folders.
+pytestmark = pytest.mark.drawn(0.5, "telenano/recording/")
+
 Wanted = Callable[[RecordedChannel], bool]
 WANTED: tuple[Wanted | None, ...] = (
     None,

@@ -28,6 +28,9 @@ from telenano.testing import VirtualClock
 from telenano.wire import encode
 from telenano.wire.errors import RecordingError
 
+# The share of its cases in `make check` where the change touches none of these: all commands decide by one function.
+pytestmark = pytest.mark.drawn(0.3, "telenano/recording/", "telenano/analysis/", "telenano/cli/")
+
 Said = dict[str, str]
 OF_LAUNCHER: Said = {"rig": "1", "began_ns": str(EPOCH_NS), "session": "1-100-aa", "starts": "s1"}
 OF_FAR_SITE: Said = {"rig": "1", "began_ns": str(EPOCH_NS + 1), "run": "1-90-bb", "starts": "s0 s1"}

@@ -267,8 +267,8 @@ def test_springs_and_dampers_make_no_energy_in_any_draw(kind: str, case: int, li
     assert one.is_kept and one.unstated_j >= -one.tolerance_j, one.sentence()
 
 
-@pytest.mark.check("up to twenty draws of twenty seconds each, for each mutant")
-@pytest.mark.drawn(0.3)
+@pytest.mark.check("up to twenty draws of twenty seconds each, for each mutant, two to seven seconds each")
+@pytest.mark.drawn(0.2)
 @pytest.mark.parametrize("mutant", MUTANTS)
 def test_a_law_that_leaks_at_one_transition_is_found_there(mutant: str) -> None:
     found = found_at(mutant, mutant, most=20)

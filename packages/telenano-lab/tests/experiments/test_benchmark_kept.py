@@ -18,6 +18,11 @@ from telenano_lab.studies.option_values import COMPARED_LAWS
 from telenano.testing import invoke
 from telenano.wire import ConfigError
 
+# What a run is computed by.
+COMPUTED_BY = (
+    "packages/telenano-lab/telenano_lab/", "packages/telenano-laws/", "telenano/afm/", "telenano/analysis/",
+    "telenano/hand/", "telenano/laws/", "telenano/link/", "telenano/lockstep/", "telenano/numerics/",
+)  # fmt: skip
 OPTIONS = {"law": "--law", "network": "--network", "seed": "--seed"}
 
 
@@ -115,7 +120,8 @@ def test_the_runs_of_the_package_are_runs_of_the_benchmark_with_every_law_in_eve
     assert len(csv.DictReader(io.StringIO(TEXT)).fieldnames or ()) == 10 + len(MEASURES)
 
 
-@pytest.mark.check("makes some kept runs again")
+@pytest.mark.check("makes some kept runs again, takes 40 s")
+@pytest.mark.drawn(0.0, *COMPUTED_BY)
 def test_drawn_runs_of_the_package_come_out_as_they_are_kept() -> None:
     """A draw of its own of every review: another --draw-seed has other runs."""
     done = invoke(["benchmark", "cell", "--draw", "12", "--draw-seed", "3", "--workers", "1", "--json"])

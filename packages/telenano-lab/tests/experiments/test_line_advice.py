@@ -28,6 +28,12 @@ ORDINARY: dict[str, Any] = {
     "hand_n": 1.0,
 }  # fmt: skip
 
+# What the figures of a line are computed by.
+COMPUTED_BY = (
+    "packages/telenano-lab/telenano_lab/", "packages/telenano-laws/", "telenano/afm/", "telenano/analysis/",
+    "telenano/hand/", "telenano/laws/", "telenano/link/", "telenano/lockstep/", "telenano/numerics/",
+)  # fmt: skip
+
 
 class Trials(Sweep):
     """Trials that end as `answer` says, in the names of `CellResult`."""
@@ -169,10 +175,11 @@ def drawn(seed: int) -> Question:
     )
 
 
-def test_over_drawn_answers_the_order_is_that_of_the_cells_and_every_reason_is_one() -> None:
+@pytest.mark.parametrize("count", [20, pytest.param(100, marks=pytest.mark.endurance("takes 16 s"))])
+def test_over_drawn_answers_the_order_is_that_of_the_cells_and_every_reason_is_one(count: int) -> None:
     """Whatever the trials say, a suited law has no reason, an unsuited one has a figure, and the rule is one."""
     source = np.random.default_rng(11)
-    for number in range(100):
+    for number in range(count):
         question = drawn(number)
         counts = {law: (int(source.integers(60, 101)), float(source.uniform(0.05, 1.0)), 0.0) for law in COMPARED_LAWS}
         runs = table(situation_of(question)[0], **counts)
@@ -276,7 +283,8 @@ def test_the_advice_of_100_drawn_lines_is_that_of_the_cells_and_holds_in_five_se
     assert agree >= 70 and holds >= 70, "\n".join(others)
 
 
-@pytest.mark.check("runs two drawn lines")
+@pytest.mark.check("runs two drawn lines, takes a minute")
+@pytest.mark.drawn(0.0, *COMPUTED_BY)
 def test_the_advice_of_two_drawn_lines_is_that_of_the_cells_or_says_what_the_line_does_not_bear(tmp_path: Path) -> None:
     for seed in (3, 8):
         found = advise(drawn(seed), Sweep(Journal(tmp_path / "journal.jsonl"), 1))

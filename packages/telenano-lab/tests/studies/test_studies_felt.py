@@ -78,7 +78,10 @@ def covered(seeds: range) -> tuple[int, int, int]:
     return inside, of, none
 
 
-@pytest.mark.check("runs drawn cells of the table and further sessions of them")
+@pytest.mark.check("runs drawn cells of the table and further sessions of them, takes 20 s")
+@pytest.mark.drawn(
+    0.0, "packages/telenano-lab/telenano_lab/studies/", "telenano/analysis/", "telenano/lockstep/", "telenano/numerics/"
+)
 def test_further_sessions_of_drawn_cells_lie_in_their_intervals() -> None:
     inside, of, none = covered(range(14))
     assert of >= 15 and inside >= 0.85 * of, (inside, of, none)
