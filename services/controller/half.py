@@ -73,7 +73,8 @@ class ControllerHalf(Node):
 
     Messages past their deadline are rejected (`Freshness`), and a half that stalled continues with the next fresh
     signal. If the process of the other half has restarted, its first signal counts as inactive. That interrupts the
-    law, so that its counters of the other half start again from the present values of that half.
+    law, so that its counters of the other half start again from the present values of that half. A half that has just
+    started takes over the law in which the other one signals.
     """
 
     # The whole state of the half, of type `state_kind`, and the part of it that both halves have.
@@ -237,7 +238,7 @@ class ControllerHalf(Node):
     def receive_signal(self, message: TeleopForward | TeleopBackward) -> bool:
         """Store a signal of the other half; return False for one of another law, which counts as silence."""
         half = self.half
-        if message.law != self.law.name:
+        if message.law != self.law.name and not self._joins(message.law):
             return False
         is_new_process = self._is_of_new_process(message)
         # F_s is the reaction along +z, and F_m the push along -z.
@@ -264,6 +265,20 @@ class ControllerHalf(Node):
             in_contact=in_contact or is_new_process,
             active=message.active and not is_new_process,
         )
+        return True
+
+    def _joins(self, law: str) -> bool:
+        """Take over the law of the other half if this one has only just started; return whether it is in force now.
+
+        A process that is started again has the law of its scenario, and does not know of a change in the session.
+        """
+        is_possible = law in KNOWN_LAWS and law not in self._failing and law not in self.config.refused_laws
+        if self.half.newest[0] >= 0 or not is_possible:
+            return False
+        text = f"law {law} is in force, as at the other site; this half was started with {self.law.name}"
+        self.event("mode", "warning", f"{text}, and has the other settings of its start")
+        self._adopt(self.config.model_copy(update={"law": law}))
+        self._switch()
         return True
 
     def _is_of_new_process(self, message: TeleopForward | TeleopBackward) -> bool:

@@ -106,11 +106,13 @@ class MasterController(ControllerHalf):
         if type(message) is HapticState:
             self._on_hand(message)
         elif type(message) is TeleopBackward:
-            if self.receive_signal(message):
+            if understood := self.receive_signal(message):
                 memory.timing = integration.master_heard(memory.timing, received.received_ns, message.hand_t_ns)
                 if self.half.switching:
                     self._take_over()
-            memory.answered = (message.hand_seq, message.hand_t_ns)
+            # An answer in another law is none, except to a hand that is held while the law changes.
+            if understood or (self.half.switching and memory.reference.active):
+                memory.answered = (message.hand_seq, message.hand_t_ns)
             self._settle()
         elif type(message) is LawStatus:
             memory.slave_status = message

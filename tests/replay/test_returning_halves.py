@@ -101,3 +101,28 @@ def test_the_half_at_the_hand_comes_back_over_a_tip_that_is_withdrawn(law: str) 
     found = course(law, "controller@master")
     assert found.returned_n <= (1.0 + BOUND) * FIRST_N
     assert (found.mode, found.last_n) == ("retracted", pytest.approx(0.0, abs=BOUND))
+
+
+@pytest.mark.check("takes 5 s")
+@pytest.mark.parametrize("half", HALVES)
+def test_a_half_that_comes_back_takes_over_the_law_that_was_changed(half: str) -> None:
+    rig = VirtualRig(None, 3, ["controller.law=virtual_impedance"], scenario=SCENARIO)
+    rig.run_until(ARMED_S)
+    rig.command("arm", "*", place="hand")
+    rig.run_until(STARTED_S)
+    rig.command("start", "haptic_node")
+    rig.run_until(1.2)
+    rig.command("set", "controller", law="wave")
+    rig.run_until(KILLED_S)
+    rig.restart(half, AWAY_NS)
+    rig.run_until(KILLED_S + 0.6)
+    if half == "controller@master":
+        rig.command("arm", "afm_node@slave", place="hand")
+    rig.run_until(ENDS_S)
+    assert [rig.received("law/status", each)[-1].law for each in HALVES] == ["wave", "wave"]
+    assert rig.received("haptic/state", "haptic_node@master")[-1].mode == "position"
+    tip = rig.received("afm/state", "afm_node@slave")[-1]
+    assert (tip.mode, FORCE_SCALE * tip.tip_force_n[2]) == ("follow", pytest.approx(LAST_N, rel=BOUND))
+    texts = [event.text for event in rig.received("session/event", half)]
+    assert sum(text.startswith("law wave is in force, as at the other site") for text in texts) == 1
+    rig.close()

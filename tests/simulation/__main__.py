@@ -79,6 +79,8 @@ def _campaign(seed: int, hours: float, out: Path) -> int:
     print(f"\n{campaign.speed(tally)}\n")
     _print_table("invariant", campaign.INVARIANTS, tally, tally.broken(), "broken in")
     _print_table("situation", tuple(SITUATIONS), tally, tally.reached(), "reached in")
+    rare = ", ".join(tally.rare()) or "none"
+    print(f"less than {campaign.OFTEN} times in {campaign.NIGHT_H:g} hours of processor time: {rare}\n")
     seen = set()
     for one in failures:
         name = one.breaks[0].invariant
@@ -101,11 +103,12 @@ def _print_table(
     head: str, names: tuple[str, ...], tally: campaign.Tally, counts: "campaign.Counter[str]", what: str
 ) -> None:
     width, total = max(map(len, names)), len(tally.schedules)
-    print(f"{head:{width}}  {what:>10}  {'in an hour':>10}  95 % interval of the share")
+    print(f"{head:{width}}  {what:>10}  {'in an hour':>10}  {'in a night':>10}  95 % interval of the share")
     for name in names:
         low, high = wilson(counts[name], total)
         hourly = counts[name] / max(tally.simulated_h, 1e-9)
-        print(f"{name:{width}}  {counts[name]:>10}  {hourly:>10.1f}  {low:.4f} to {high:.4f}")
+        nightly = tally.nightly(counts[name])
+        print(f"{name:{width}}  {counts[name]:>10}  {hourly:>10.1f}  {nightly:>10.0f}  {low:.4f} to {high:.4f}")
     print()
 
 

@@ -27,6 +27,10 @@ from telenano.wire.errors import TelenanoError
 
 # The report is made for one schedule in so many, because it takes nearly half as long as the simulation.
 REPORTED_EACH = 2
+# Processor time of a night of twelve hours on two processors [h].
+NIGHT_H = 24.0
+# Number of times that a night has to reach each situation.
+OFTEN = 100
 
 
 # Invariants that the judge checks; each is a row of README.md in this folder.
@@ -119,6 +123,14 @@ class Tally(NamedTuple):
 
     def reached(self) -> Counter[str]:
         return Counter(name for one in self.schedules for name in one.situations)
+
+    def nightly(self, count: int) -> float:
+        """Return the count that a night would have at this rate."""
+        return count * NIGHT_H / max(self.processor_h, 1e-9)
+
+    def rare(self) -> list[str]:
+        """Return the situations that a night would reach less than `OFTEN` times."""
+        return [name for name in reached.SITUATIONS if self.nightly(self.reached()[name]) < OFTEN]
 
 
 def campaign(

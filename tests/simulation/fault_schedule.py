@@ -38,7 +38,11 @@ HAND, TIP, LINK = "haptic_node@master", "afm_node@slave", "delay_node@master"
 HALVES = ("controller@master", "controller@slave")
 RECORDERS = ("recorder@master", "recorder@slave")
 NODES = (HAND, TIP, LINK, *HALVES, *RECORDERS)
-LAWS = ("wave", "virtual_impedance")
+# Half of the draws take one of the first two laws.
+LAWS = (
+    "wave", "virtual_impedance", "position_force", "passivity", "bounded_model", "four_channel", "fractal_impedance",
+    "matched_wave", "model_mediated", "smith", "tactile", "tdpa", "two_layer",
+)  # fmt: skip
 # Latest begin of a group of faults, since the start of the processes [s].
 FAULTS_S = 4.5
 # Time without faults after the last one, before a person arms; and time after that in which the rig must recover.
@@ -73,7 +77,7 @@ class Schedule(NamedTuple):
             events += _GROUPS[group][1](dice, round(dice.uniform(0.3, FAULTS_S), 3))
         events = _few_kills(events)
         delay_s, link_s = dice.choice([0.001, 0.005, 0.02, 0.05]), dice.choice([0.0, 0.0, 0.01])
-        return cls(seed, dice.choice(LAWS), delay_s, link_s, tuple(sorted(events, key=lambda one: one["at_s"])))
+        return cls(seed, _law(dice), delay_s, link_s, tuple(sorted(events, key=lambda one: one["at_s"])))
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> "Schedule":
@@ -99,6 +103,10 @@ class Schedule(NamedTuple):
         """Time at which a person arms: `CALM_S` after the end of the last fault [s]."""
         ends = (one["at_s"] + one.get("for_s", 0.0) for one in self.events)
         return max([*ends, 1.0]) + CALM_S
+
+
+def _law(dice: random.Random) -> str:
+    return dice.choice(dice.choice([LAWS[:2], LAWS]))
 
 
 def _network(dice: random.Random, at_s: float) -> list[Event]:
@@ -148,7 +156,7 @@ def _people(dice: random.Random, at_s: float) -> list[Event]:
     if kind == "arm":
         return [_arm(dice, at_s)]
     if kind == "law":
-        return [{"at_s": at_s, "kind": kind, "law": dice.choice(LAWS)}]
+        return [{"at_s": at_s, "kind": kind, "law": _law(dice)}]
     if kind == "link":
         delay_s, loss = dice.choice([0.0, 0.01, 0.03]), dice.choice([0.0, 0.0, 0.05])
         return [{"at_s": at_s, "kind": kind, "delay_s": delay_s, "loss": loss}]

@@ -73,8 +73,7 @@ class Session:
         self.verdict: Fields = json.loads((folder / "verdict.json").read_text())
         self.acts: list[Fields] = [{**act, "at_s": act["t_ns"] * 1e-9} for act in self.history["acts"]]
         self.epoch_ns: int = self.history["epoch_ns"]
-        # Time of sending and checksum of each message, by publisher, topic, number and stamp; and the times, numbers
-        # and stamps of all messages by publisher and topic.
+        # Time of sending and checksum of each message; times, numbers and stamps of each publisher and topic.
         self.ledger: dict[tuple[str, str, int, int], tuple[float, int]] = {}
         self.sent: dict[tuple[str, str], list[tuple[float, int, int]]] = defaultdict(list)
         for src, topic, seq, t_ns, sent_ns, crc in msgpack.unpackb((folder / "ledger.msgpack").read_bytes()):
@@ -140,12 +139,10 @@ class Newest:
         self._messages, self._times = messages, [one.sent_s for one in messages]
 
     def at(self, at_s: float) -> Seen | None:
-        place = bisect_right(self._times, at_s)
-        return self._messages[place - 1] if place else None
+        return self._messages[place - 1] if (place := bisect_right(self._times, at_s)) else None
 
     def time_of(self, at_s: float) -> float:
-        newest = self.at(at_s)
-        return -1e9 if newest is None else newest.sent_s
+        return -1e9 if (newest := self.at(at_s)) is None else newest.sent_s
 
     def mode(self, at_s: float) -> str:
         newest = self.at(at_s)
@@ -162,8 +159,7 @@ def _is_known(missing_s: list[float], from_s: float, to_s: float) -> bool:
 def judge_tip(session: Session) -> Iterator[Break]:
     """Check: no late command moves the tip; it is held and withdrawn in time; it follows only a hand that feels."""
     states = session.direct[TIP, "afm/state"]
-    commands = session.direct["controller@slave", "afm/command"]
-    armed = Newest([one for one in commands if one.fields.get("hand_armed") is True])
+    armed = Newest([one for one in session.direct["controller@slave", "afm/command"] if one.fields.get("hand_armed")])
     lost, lost_hands = session.missing("controller@slave", "afm/command"), session.missing(HAND, "haptic/state")
     hands, follows_s = session.direct[HAND, "haptic/state"], 0.0
     drives = Newest([one for one in hands if one.fields["mode"] != "off"])
@@ -183,9 +179,9 @@ def judge_tip(session: Session) -> Iterator[Break]:
         hand_s = (newest.fields["hand_t_ns"] - session.epoch_ns) * 1e-9
         allowed_s = DEADLINE_S + GRAIN_S + session.link_s(at_s) + session.transit_s("forward", at_s)
         if at_s - hand_s > allowed_s:
-            moves = state.depth_m - before.depth_m > 1e-12
+            name = "nothing_late" if state.depth_m - before.depth_m > 1e-12 else "safe_in_time"
             text = f"a sample of {1e3 * (at_s - hand_s):.0f} ms, of {1e3 * allowed_s:.0f} allowed"
-            yield Break("nothing_late" if moves else "safe_in_time", at_s, f"the tip follows {text}")
+            yield Break(name, at_s, f"the tip follows {text}")
         unfelt_s = at_s - max(drives.time_of(at_s), follows_s)
         if unfelt_s > UNFELT_S + session.trip_s(at_s) and _is_known(lost_hands, at_s - unfelt_s, at_s):
             yield Break("felt_hand", at_s, f"the tip follows a hand that has felt nothing for {unfelt_s:.2f} s")
@@ -199,8 +195,7 @@ def judge_hand(session: Session) -> Iterator[Break]:
         at_s, state = one.sent_s, one.fields
         if state["mode"] == "off" or not _is_known(lost, at_s - 0.4, at_s):
             continue
-        age_s = at_s - commands.time_of(at_s)
-        if age_s > DEADLINE_S + GRAIN_S:
+        if (age_s := at_s - commands.time_of(at_s)) > DEADLINE_S + GRAIN_S:
             yield Break("safe_in_time", at_s, f"the motor is on {age_s * 1e3:.0f} ms after the last command")
         old_s = at_s - (state["answered_t_ns"] - session.epoch_ns) * 1e-9
         if old_s > DEADLINE_S + GRAIN_S + session.trip_s(at_s):
@@ -214,27 +209,31 @@ def judge_stops(session: Session) -> Iterator[Break]:
     acks: set[tuple[str, str]] = set()
     for device, topic in ((HAND, "haptic/state"), (TIP, "afm/state")):
         line = [*session.direct[device, topic], *session.direct[device, "session/event"]]
-        pressed_s, suspect = None, None
+        pressed_s, suspect, withdrawn, since_s, lost = None, None, False, 0.0, session.missing(device, "session/event")
         for one in sorted(line, key=lambda one: (one.sent_s, one.fields["seq"])):
             said = one.fields
             if suspect is not None and one.sent_s > suspect.at_s + 0.005:
-                yield suspect
-                suspect, pressed_s = None, None
+                # The answer to an arming comes after the state that it has changed, or is missing in the files.
+                yield from [suspect] if _is_known(lost, 0.0, one.sent_s) else []
+                suspect, pressed_s, withdrawn = None, None, False
             if one.topic == topic:
-                moves = said["mode"] in ("follow", "hold", "position", "force") or said.get("armed") is True
-                if pressed_s is not None and moves and suspect is None:
-                    # The answer to an arming comes after the state that it has changed, so wait for it.
-                    suspect = Break("stop_is_last", one.sent_s, f"{device} is in {said['mode']} after a stop")
+                moves = said["mode"] in ("follow", "hold") or said.get("armed") is True
+                left = said["mode"] != "estop" if device == TIP else not said["estop"]
+                if said["mode"] == "retracting" and pressed_s is None:
+                    withdrawn, since_s = True, one.sent_s
+                # Messages of one turn have stamps in any order.
+                if suspect is None and one.sent_s > since_s + 0.001 and (left if pressed_s else withdrawn and moves):
+                    suspect = Break("stop_is_last", one.sent_s, f"{device} is in {said['mode']} without an arming")
             elif said["kind"] == "ack" and said["data"].get("command") == "estop":
                 acks.add((said["id"], device))
-                press = presses.get(said["id"])
-                pressed_s = max(pressed_s or 0.0, one.sent_s if press is None else press["at_s"])
+                since_s, press = one.sent_s, presses.get(said["id"], {})
+                pressed_s = max(pressed_s or 0.0, press.get("at_s", since_s))
             elif said["kind"] == "ack" and said["data"].get("command") == "arm":
                 given_s, name = given.get(said["id"].rpartition("-")[0], (0.0, ""))
                 if pressed_s is not None and given_s < pressed_s:
                     text = f"{device} is armed by a command of {given_s:.2f} s, before the stop of {pressed_s:.2f} s"
                     yield Break("stop_is_last", one.sent_s, text)
-                pressed_s = suspect = None
+                pressed_s, suspect, withdrawn = None, None, False
                 if device == TIP and name == "arm":
                     yield from _judge_arming(session, one)
     yield from _judge_window(session)
@@ -336,8 +335,9 @@ def judge_verdict(session: Session) -> Iterator[Break]:
         yield Break("law_not_blamed", 0.0, f"{session.verdict['kind']}: {session.verdict['reason'][:200]}")
     hands, tips = session.direct[HAND, "haptic/state"], Newest(session.direct[TIP, "afm/state"])
     lost = sorted([*session.missing(HAND, "haptic/state"), *session.missing(TIP, "afm/state")])
+    zero_s = next((one.sent_s - one.fields["session_s"] for one in hands if one.fields["session_s"] > 0.0), 0.0)
     for hold in session.verdict["holds"]:
-        inside = [one for one in hands if hold["start_s"] <= one.fields["session_s"] <= hold["end_s"]]
+        inside = [one for one in hands if hold["start_s"] <= one.sent_s - zero_s <= hold["end_s"]]
         if hold["verdict"] != "stable" or len(inside) < 50 or not _is_known(lost, inside[0].sent_s, inside[-1].sent_s):
             continue
         held_s = 0.004 * sum(one.fields["mode"] != "off" and tips.mode(one.sent_s) == "follow" for one in inside)

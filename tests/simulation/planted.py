@@ -18,6 +18,7 @@ from fault_schedule import LINK, TIP, Event, Schedule
 
 import services.controller.master_half as master_half
 import services.delay_node.far_stop as far_stop
+from services.controller.half import ControllerHalf
 from telenano.afm import safety as tip_guard
 from telenano.analysis import holds, session_judge
 from telenano.hand import safety as hand_guard
@@ -278,6 +279,30 @@ PLANTED: dict[str, Fault] = {
             _at(1.4, "partition", direction="both", for_s=6.5),
             _at(1.5, "press", site="master", target="*"),
             _at(7.0, "kill", node=LINK, after=0, torn=0.0),
+        ],
+    ),
+    "a stop that ends with its process": _fault(
+        "a device that is started again does not look for the stop that is kept for it",
+        "stop_is_last",
+        _instead(EstopLatch, "kept", lambda _: lambda self: None),
+        events=[
+            _at(1.5, "press", site="slave", target="afm_node"),
+            _at(2.0, "kill", node=TIP, after=0, torn=0.0),
+        ],
+    ),
+    "a tip that follows again by itself": _fault(
+        "a tip that was withdrawn follows as soon as fresh commands come",
+        "stop_is_last",
+        _instead(tip_guard, "is_wished", lambda _: lambda mode, reason: mode == tip_guard.MODE_RETRACTED),
+        events=[_at(2.0, "partition", direction="forward", for_s=0.6)],
+    ),
+    "a half that keeps the law of its start": _fault(
+        "a half that is started again does not take over the law that was changed in the session",
+        "goes_on",
+        _instead(ControllerHalf, "_joins", lambda _: lambda self, law: False),
+        events=[
+            _at(1.6, "law", law="virtual_impedance"),
+            _at(2.5, "kill", node="controller@slave", after=0, torn=0.0),
         ],
     ),
     "a node that stays away": _fault(

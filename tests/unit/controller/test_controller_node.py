@@ -151,13 +151,27 @@ def test_first_signal_of_a_half_that_has_begun_anew_interrupts_the_law(master: A
     assert modes == ["position", "position", "position", "off", "position"]
 
 
-def test_signal_of_another_law_counts_as_silence(master: Any) -> None:
+def test_signal_of_another_law_counts_as_silence_and_answers_nothing(master: Any) -> None:
+    bench, node = master
+    first = tick(bench, node)
+    node.on_message(bench.received("teleop/backward", "controller@slave", **answer_fields(0.0, first.seq, first.t_ns)))
+    for _ in range(55):
+        hand = tick(bench, node)
+        other = answer_fields(1e-9, hand.seq, hand.t_ns, law="wave")
+        node.on_message(bench.received("teleop/backward", "controller@slave", **other))
+    command = bench.take("haptic/command")[-1]
+    assert (command.mode, command.hand_seq, command.hand_t_ns) == ("off", first.seq, first.t_ns)
+    assert node.law.name == "virtual_impedance"
+
+
+@pytest.mark.parametrize(("law", "in_force"), [("wave", "wave"), ("unknown", "virtual_impedance")])
+def test_half_that_has_just_started_takes_over_a_known_law(master: Any, law: str, in_force: str) -> None:
     bench, node = master
     hand = tick(bench, node)
-    other = answer_fields(1e-9, hand.seq, hand.t_ns, law="wave")
+    other = answer_fields(0.0, hand.seq, hand.t_ns, law=law)
     node.on_message(bench.received("teleop/backward", "controller@slave", **other))
-    (command,) = bench.take("haptic/command")
-    assert command.mode == "off"
+    tick(bench, node)
+    assert (node.law.name, bench.take("teleop/forward")[-1].law) == (in_force, in_force)
 
 
 def test_missed_ticks_are_bridged_by_their_number(master: Any, bench_of: Any) -> None:
