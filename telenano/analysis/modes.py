@@ -51,7 +51,7 @@ class Mode(NamedTuple):
 
     thirds_n: the amplitude at its frequency in each third of the stretch, without other lines [N]. begin_n and end_n:
     its peak-to-peak size at either end of the stretch [N]; for a mode of less than half a turn in the stretch, its
-    range in either half.
+    range in either half. course: the mode itself in the samples of the fit [N], shape (m,).
     """
 
     frequency_hz: float
@@ -60,6 +60,7 @@ class Mode(NamedTuple):
     begin_n: float
     end_n: float
     thirds_n: tuple[float, ...]
+    course: Series
 
 
 class Fit(NamedTuple):
@@ -323,7 +324,7 @@ def _refined(times: Series, values: Series, poles: list[tuple[float, float]], he
     return state
 
 
-def _amplitude(times: Series, values: Series, growth: float, turn: float) -> float:
+def amplitude(times: Series, values: Series, growth: float, turn: float) -> float:
     """Return the amplitude of a pole's swing in the middle of a part of the stretch, fitted beside a constant."""
     cosine, sine, _ = _pair(times - 0.5 * float(times[0] + times[-1]), 0.0, max(turn, 1.0))
     swell = np.exp(growth * (times - 0.5 * float(times[0] + times[-1])))
@@ -335,6 +336,11 @@ def _amplitude(times: Series, values: Series, growth: float, turn: float) -> flo
 def _modes(times: Series, values: Series, state: _State, length_s: float, scale: float) -> list[Mode]:
     """Return the poles as modes in SI units, each with the standard error of its growth."""
     columns = _columns(times, state.poles)
+    lines, place = [], 1
+    for _, turn in state.poles:
+        line = state.weights[place] * columns[place]
+        lines.append(line + state.weights[place + 1] * columns[place + 1] if turn else line)
+        place += 2 if turn else 1
     place, of_growth = 1, len(columns)
     columns += _tangents(times, state)
     n = len(columns)
@@ -374,14 +380,12 @@ def _modes(times: Series, values: Series, state: _State, length_s: float, scale:
                 end = min(abs(float(course[-1])), way)
         frequency_hz = turn / (2.0 * math.pi * length_s)
         # Lines that a third of the stretch cannot separate from the mode count as part of it.
-        own, column = state.left, 1
-        for _, other in state.poles:
-            for _ in range(2 if other else 1):
-                near = abs(other - turn) < _SEPARABLE_PHASE
-                own = own + state.weights[column] * columns[column] if near else own
-                column += 1
+        own = state.left
+        for (_, other), line in zip(state.poles, lines, strict=True):
+            own = own + line if abs(other - turn) < _SEPARABLE_PHASE else own
         edges = np.linspace(0, len(times), 4).astype(int).tolist()
-        thirds = tuple(scale * _amplitude(times[i:j], own[i:j], growth, turn) for i, j in pairwise(edges))
-        modes.append(Mode(frequency_hz, growth / length_s, error / length_s, scale * begin, scale * end, thirds))
+        thirds = tuple(scale * amplitude(times[i:j], own[i:j], growth, turn) for i, j in pairwise(edges))
+        sizes = (scale * begin, scale * end, thirds, scale * lines[number])
+        modes.append(Mode(frequency_hz, growth / length_s, error / length_s, *sizes))
         place, of_growth = place + (2 if turn else 1), of_growth + (2 if turn else 1)
     return modes

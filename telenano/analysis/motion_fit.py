@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.analysis.findings import Cause, Finding, Kind, on_its_way
-from telenano.analysis.modes import LEAST_SAMPLES, Fit, Mode, centred, fitted, rms
+from telenano.analysis.modes import LEAST_SAMPLES, Fit, Mode, amplitude, centred, fitted, rms
 from telenano.analysis.read_out import moved_of, noise_of
 from telenano.analysis.verdict_thresholds import (
     ERROR_SHARE,
@@ -171,7 +171,10 @@ def _change(mode: Mode, window: Window) -> tuple[float, float]:
 def _growing(mode: Mode, window: Window, change: float, cycles: float, least: float) -> Fate:
     """Return the fate of a mode whose fit surely grows."""
     # A growth must exceed the residual, and rise from third to third if the mode turns often enough.
-    is_rising = window.seen(mode) > least and (cycles < LEAST_TURNS or rises(window.fit, mode, change))
+    turns_often = cycles >= LEAST_TURNS
+    is_rising = window.seen(mode) > least and (
+        not turns_often or (rises(window.fit, mode, change) and rises_where_seen(window, mode))
+    )
     # A motion that was seen for two turns is extrapolated by the length of the window.
     own = window.values[-max(2, math.ceil(len(window.values) * min(1.0, max(cycles, 1.0) / change))) :]
     # Within the time of its growth, or of a visible turn, a real mode covers more than half of its size.
@@ -190,6 +193,28 @@ def rises(fit: Fit, mode: Mode, change: float) -> bool:
     least_n = max(SURE_ERRORS * rms(fit.left) * math.sqrt(12.0 / len(fit.left)), LEFT_SHARE**2 * mode.thirds_n[-1])
     factor = math.exp(change / 6.0)
     return all(after >= before * factor or before <= least_n for before, after in pairwise(mode.thirds_n))
+
+
+def rises_where_seen(window: Window, mode: Mode) -> bool:
+    """Return whether the motion rises with a growing mode in the last part, where this stands out of the residual.
+
+    A late pulse is fitted as modes that grow and cancel one another after it. So the residual and all growing modes
+    together have to rise from each third of the part to the next by half of the fitted growth, and to be half as large
+    as the mode in the last, but for their errors. The part has two turns or more.
+    """
+    left, change, cycles = window.fit.left, mode.growth_per_s * window.length_s, mode.frequency_hz * window.length_s
+    count, times = len(left), np.linspace(0.0, 1.0, len(left))
+    hidden = np.flatnonzero(mode.end_n * np.exp(change * (times - 1.0)) <= SURE_ERRORS * np.abs(left))
+    least = max(math.ceil(count * min(LEAST_TURNS / cycles, 1.0)), LEAST_SAMPLES)
+    first = min(int(hidden[-1]) + 1 if len(hidden) else 0, count - least)
+    grown = left + sum(own.course for own in window.fit.modes if own.growth_per_s > 0.0)
+    edges = np.linspace(first, count, 4).astype(int).tolist()
+    thirds_n = [amplitude(times[i:j], grown[i:j], change, 2.0 * math.pi * cycles) for i, j in pairwise(edges)]
+    error_n = SURE_ERRORS * rms(left[first:]) * math.sqrt(12.0 / (count - first))
+    factor = math.exp(change * float(1.0 - times[first]) / 6.0)
+    own_n = 0.5 * mode.end_n * math.exp(-change * float(1.0 - times[first]) / 6.0)
+    is_there = thirds_n[-1] + error_n >= 0.5 * own_n
+    return is_there and all(after + error_n >= before * factor for before, after in pairwise(thirds_n))
 
 
 def time_until(mode: Mode, small_n: float) -> float:

@@ -10,7 +10,17 @@ from telenano.analysis.decision import approaching, beside, shown_beside
 from telenano.analysis.envelope import by_envelope, falls_as_noise, has_line, sizes_of
 from telenano.analysis.findings import Cause, Finding
 from telenano.analysis.modes import Fit, Mode
-from telenano.analysis.motion_fit import Fate, Motion, Window, classify, decided_by_modes, rises, time_until, undecided
+from telenano.analysis.motion_fit import (
+    Fate,
+    Motion,
+    Window,
+    classify,
+    decided_by_modes,
+    rises,
+    rises_where_seen,
+    time_until,
+    undecided,
+)
 from telenano.analysis.read_out import even, gone_of
 from telenano.analysis.verdict import judge
 from telenano.analysis.verdict_sentences import sentence
@@ -37,7 +47,11 @@ def by_windows(*sizes_n: float) -> Finding:
 
 
 def line(**changes: object) -> Mode:
-    return Mode(5.0, 0.4, 0.01, 0.1, 0.3, (0.1, 0.2, 0.3))._replace(**changes)
+    """Return a mode whose course in a window of one second has its frequency, growth and end, unless one is given."""
+    mode = Mode(5.0, 0.4, 0.01, 0.1, 0.3, (0.1, 0.2, 0.3), NOTHING_LEFT)._replace(**changes)
+    times = np.linspace(-1.0, 0.0, len(NOTHING_LEFT))
+    course = 0.5 * mode.end_n * np.exp(mode.growth_per_s * times) * np.cos(2.0 * np.pi * mode.frequency_hz * times)
+    return mode._replace(**{"course": course, **changes})
 
 
 def fit(left_n: float = 0.0, noise_n: float = 0.0) -> Fit:
@@ -255,6 +269,27 @@ def test_a_line_rises_where_each_third_is_larger_than_the_one_before() -> None:
     assert not rises(fit(), line(thirds_n=(1.0, 2.0, 1.99)), 1.0)
     # a third that does not stand out of what the fit leaves says nothing
     assert rises(fit(left_n=3.0), line(thirds_n=(1.0, 0.5, 2.0)), 1.0)
+
+
+def test_modes_that_grow_and_cancel_one_another_do_not_rise_where_they_are_seen() -> None:
+    growing = line(frequency_hz=12.0, growth_per_s=3.0, error_per_s=0.0)
+    assert rises_where_seen(window(growing), growing)
+    times = np.linspace(0.0, 1.0, len(NOTHING_LEFT))
+    other = growing._replace(course=-0.99 * growing.course * np.exp(2.0 * np.minimum(times - 0.8, 0.0)))
+    own = window(growing)._replace(fit=fit()._replace(modes=[growing, other]))
+    assert not rises_where_seen(own, growing)
+    # a mode that dies out has no part in what grows
+    own = window(growing)._replace(fit=fit()._replace(modes=[growing, other._replace(growth_per_s=-3.0)]))
+    assert rises_where_seen(own, growing)
+
+
+@pytest.mark.parametrize(("slower", "is_rising"), [(0.45, True), (0.55, False)])
+def test_a_motion_may_rise_by_half_of_a_growth_where_this_is_seen(slower: float, is_rising: bool) -> None:
+    growing = line(frequency_hz=12.0, growth_per_s=3.0, error_per_s=0.0)
+    times = np.linspace(-1.0, 0.0, len(NOTHING_LEFT))
+    other = growing._replace(course=growing.course * np.expm1(-slower * 3.0 * times))
+    own = window(growing)._replace(fit=fit()._replace(modes=[growing, other]))
+    assert rises_where_seen(own, growing) is is_rising
 
 
 def test_a_mode_is_small_from_when_it_has_died_out_to_that() -> None:
