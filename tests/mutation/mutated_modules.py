@@ -63,6 +63,7 @@ MODULES: dict[str, tuple[str, ...]] = {
     ),
     "telenano/analysis/motion_fit.py": (
         "tests/unit/analysis/test_verdict_parts.py",
+        "tests/unit/analysis/test_verdict_pulses.py",
         "tests/unit/analysis/test_verdict_noise.py",
         "tests/unit/analysis/test_verdict.py",
         "tests/verdicts/test_kept_verdicts.py",
