@@ -166,11 +166,3 @@ def test_whoever_stands_still_nothing_old_is_obeyed(
     law: str, link_ms: float, duration_s: float, nodes: Sequence[str]
 ) -> None:
     run(law, link_ms, duration_s, nodes)
-
-
-@pytest.mark.endurance
-@pytest.mark.parametrize("duration_s", [0.2, 1.0, 3.0])
-@pytest.mark.parametrize("link_ms", [0.0, 150.0])
-@pytest.mark.parametrize("law", ["virtual_impedance", "wave", "model_mediated"])
-def test_every_stall_under_every_law_and_link(law: str, link_ms: float, duration_s: float) -> None:
-    run(law, link_ms, duration_s)

@@ -121,11 +121,9 @@ FAULTS = {
     "a relay that drops, repeats, holds back, forges and floods": "genuine samples alone are obeyed, none after "
     "a newer one; the rest is refused and counted; the link stays with datagrams",
     "an arm that waited in a stopped AFM": "refused and answered; the tip stays in emergency stop",
-    "an arm behind a stopped controller, then an emergency stop": "the arm is void, the tip stays in emergency stop",
     "an arm at a stopped AFM, then an emergency stop": "the arm is void, the tip stays in emergency stop",
     "an AFM stopped for longer than the emergency stop is sent": "in emergency stop when it goes on, before it obeys",
     "kill -9 of an AFM in emergency stop": "it comes back in emergency stop",
-    "an emergency stop while the AFM is being started again": "it comes back in emergency stop",
     "an emergency stop while the AFM is being started again without a folder": "it comes back in emergency stop",
     "an arm that waits in the page's server when an emergency stop comes": "given up, also when the page has left; "
     "both devices stay latched",

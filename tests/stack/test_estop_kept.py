@@ -1,6 +1,7 @@
 """An emergency stop is the last word in a real rig: with processes stopped, killed, and arms that waited for them.
 
-The same in every order is in virtual time, in `tests/unit/runtime/test_runtime_estop_orders.py`.
+The same in every order is in virtual time, in `tests/unit/runtime/test_runtime_estop_orders.py` and
+`tests/simulation`; a stop for an instrument that is being started again is in `test_lost_paths.py`.
 """
 
 import os
@@ -8,20 +9,14 @@ import signal
 import subprocess
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Any
 
 import pytest
 from ledger import record
-from stack_rig import BOTH_WAYS, Rig, apart, arm, mode
+from stack_rig import BOTH_WAYS, Rig, arm, mode
 
-from telenano.console.send_commands import send_control
-from telenano.runtime.loop.commands import Command
-from telenano.settings import DEFAULT_SITE_FILE
-from telenano.wire.errors import RigError
-
-HAND, TIP, SLAVE_HALF = "haptic_node@master", "afm_node@slave", "controller@slave"
+TIP = "afm_node@slave"
 # in which an arm that was not void would have been obeyed
 WATCHED_S = 1.5
 
@@ -60,35 +55,6 @@ def stays_stopped(rig: Rig, since_ns: int) -> str:
     base_m = [state.base_position_m[2] for state in seen[first:]]
     # towards the sample is down
     return f"{1e9 * (base_m[0] - min(base_m)):.1f} nm"
-
-
-@apart("the AFM answers the stop while the half beside it is stopped")
-@pytest.mark.endurance
-def test_an_arm_that_has_its_turn_after_a_stop_is_void(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(rig.sockets))
-    begin_ns = time.time_ns()
-
-    def ask(command: Command, issued_ns: int) -> str:
-        try:
-            return str(send_control(command, DEFAULT_SITE_FILE, "master", lambda event: None, issued_ns=issued_ns))
-        except RigError as error:
-            return str(error)
-
-    # one command after the other, as a page has them sent: the first waits for the process that is stopped
-    with ThreadPoolExecutor(1) as turns:
-        with stopped(rig, SLAVE_HALF):
-            setting = Command("set", SLAVE_HALF, parameters={"virtual_impedance.force_gain": 20.0})
-            before = turns.submit(ask, setting, time.monotonic_ns())
-            waiting = turns.submit(ask, Command("arm", "afm_node"), time.monotonic_ns())
-            time.sleep(0.5)
-            assert rig.telenano("estop").returncode == 0
-            if before.done():
-                pytest.skip("the command before the arm was given up before the stop was sent: the machine was late")
-            time.sleep(1.0)
-        text = waiting.result(60.0)
-    assert text.startswith(f"arm is void: an emergency stop came to {TIP} after it"), text
-    way = stays_stopped(rig, begin_ns)
-    record("an arm behind a stopped controller, then an emergency stop", f"void; the tip approached by {way}")
 
 
 @BOTH_WAYS
@@ -146,15 +112,3 @@ def test_an_instrument_that_is_killed_in_emergency_stop_comes_back_in_it(pressin
     stays_stopped(rig, begin_ns)
     record(f"kill -9 of an AFM in emergency stop{rig.way}", "it came back in emergency stop")
     arm(rig)
-
-
-@BOTH_WAYS
-@pytest.mark.endurance
-def test_a_stop_for_an_instrument_that_does_not_run_is_kept_for_the_next_one(pressing_rig: Rig) -> None:
-    rig = pressing_rig
-    begin_ns = time.time_ns()
-    rig.kill(TIP)
-    time.sleep(0.05)
-    rig.telenano("estop")
-    stays_stopped(rig, begin_ns)
-    record(f"an emergency stop while the AFM is being started again{rig.way}", "it came back in emergency stop")
