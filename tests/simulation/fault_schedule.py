@@ -205,6 +205,14 @@ def _stop_while_away(dice: random.Random, at_s: float) -> list[Event]:
     return [fault, {"at_s": later_s, "kind": "press", **press}]
 
 
+def _answer_lost(dice: random.Random, at_s: float) -> list[Event]:
+    """Draw a stop from the master's site, and the end of the link while the stop or its answer crosses."""
+    press = {"kind": "press", "site": "master", "target": dice.choice(["*", "afm_node"])}
+    later_s = round(at_s + dice.uniform(0.0, 0.12), 4)
+    kill = {"kind": "kill", "node": LINK, "after": dice.choice([0, 0, 2, 8]), "torn": 0.0}
+    return [{"at_s": at_s, **press}, {"at_s": later_s, **kill}]
+
+
 def _law_while_cut(dice: random.Random, at_s: float) -> list[Event]:
     """Draw a change to another law and back while the network is away: one of the two is a change."""
     at_s = min(at_s, 3.0)
@@ -216,6 +224,13 @@ def _law_while_cut(dice: random.Random, at_s: float) -> list[Event]:
         {"at_s": round(at_s + for_s + 1.0, 3), "kind": "law", "law": then},
     ]
     return [{"at_s": begins_s, "kind": "partition", "direction": way, "for_s": for_s}, *laws]
+
+
+def _half_of_another_law(dice: random.Random, at_s: float) -> list[Event]:
+    """Draw a change of the law, and then the end of one half, whose new process has the law of the scenario."""
+    kill = {"kind": "kill", "node": dice.choice(HALVES), "after": 0, "torn": 0.0}
+    later_s = round(at_s + dice.uniform(0.2, 0.8), 3)
+    return [{"at_s": at_s, "kind": "law", "law": dice.choice(LAWS)}, {"at_s": later_s, **kill}]
 
 
 def _press(dice: random.Random, at_s: float) -> Event:
@@ -250,6 +265,8 @@ _GROUPS: dict[str, tuple[float, Callable[[random.Random, float], list[Event]]]] 
     "stopped again": (1.0, _stopped_again),
     "stop while away": (1.0, _stop_while_away),
     "law while cut": (0.4, _law_while_cut),
+    "answer lost": (0.4, _answer_lost),
+    "half of another law": (0.4, _half_of_another_law),
 }
 KINDS = frozenset(
     {

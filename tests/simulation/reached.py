@@ -42,6 +42,12 @@ def _presses(session: Session) -> list[Fields]:
     return [act for act in session.acts if act["what"] == "press"]
 
 
+def _unanswered(session: Session) -> list[Stretch]:
+    """Return the times from each stop for the tip until a person had its answers, or gave up [s]."""
+    ended = {act["id"]: act["at_s"] for act in session.acts if act["what"] == "pressed"}
+    return [(act["at_s"], ended.get(act["id"], act["at_s"])) for act in _presses(session) if TIP in act["devices"]]
+
+
 def _within(times: list[float], stretches: list[Stretch], late_s: float = 0.0) -> bool:
     return any(begin <= at_s <= end + late_s for at_s in times for begin, end in stretches)
 
@@ -160,12 +166,21 @@ SITUATIONS: dict[str, Callable[[Session], bool]] = {
         for begin, end in _down(s, device)
     ),
     "a stop while the link was away": lambda s: _within([one["at_s"] for one in _presses(s)], _down(s, LINK)),
+    "a link that ended between a stop and its answer": lambda s: _within(
+        [begin for begin, _ in _down(s, LINK)], _unanswered(s)
+    ),
     "a stop while the instrument stood still": lambda s: _within(
         [one["at_s"] for one in _presses(s) if TIP in one["devices"]], _silent(s, TIP, 0.05)
     ),
     "a stop in a partition": lambda s: _within([one["at_s"] for one in _presses(s)], _partitions(s)),
     "a partition while a law changed": lambda s: any(
         begin <= at_s <= end for at_s, _ in _law_changes(s) for begin, end in _partitions(s)
+    ),
+    "a half that ended after a change of the law": lambda s: any(
+        at_s < begin
+        for at_s, _ in _law_changes(s)
+        for half in ("controller@master", "controller@slave")
+        for begin, _ in _down(s, half)
     ),
     "a partition in a hold": lambda s: _within([begin for begin, _ in _partitions(s)], _holds(s), 0.1),
     "a step of the delay in a hold": lambda s: _within(_steps(s), _holds(s), 0.02),

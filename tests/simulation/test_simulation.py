@@ -29,10 +29,18 @@ MADE: dict[str, tuple[Event, ...]] = {
         {**_STOP, "site": "slave", "target": "afm_node"},
     ),
     "a stop while the link was away": ({"at_s": 1.6, "kind": "kill", "node": LINK, "after": 0, "torn": 0.0}, _STOP),
+    "a link that ended between a stop and its answer": (
+        _STOP,
+        {"at_s": 1.69, "kind": "kill", "node": LINK, "after": 0, "torn": 0.0},
+    ),
     "a stop while the instrument stood still": ({"at_s": 1.6, "kind": "stall", "node": TIP, "for_s": 0.3}, _STOP),
     "a stop in a partition": ({"at_s": 1.6, "kind": "partition", "direction": "forward", "for_s": 0.3}, _STOP),
     "a partition in a hold": ({"at_s": 1.9, "kind": "partition", "direction": "backward", "for_s": 0.3},),
     "a step of the delay in a hold": ({"at_s": 1.7, "kind": "delay", "forward_s": 0.03, "backward_s": 0.03},),
+    "a half that ended after a change of the law": (
+        {"at_s": 1.3, "kind": "law", "law": "virtual_impedance"},
+        {"at_s": 1.9, "kind": "kill", "node": "controller@slave", "after": 0, "torn": 0.0},
+    ),
     "a partition while a law changed": (
         {"at_s": 1.6, "kind": "partition", "direction": "both", "for_s": 0.8},
         {"at_s": 1.6, "kind": "law", "law": "virtual_impedance"},
