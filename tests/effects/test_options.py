@@ -63,15 +63,20 @@ def file_of(command: str) -> str:
     return Path(code.co_filename).relative_to(ROOT).as_posix()
 
 
+def of_drawn_commands(rows: list[tuple[str, Any]], count: int) -> list[tuple[str, Any]]:
+    """Return so many options, those of one command side by side: it is run as it is once for all of them."""
+    names = sorted({name for name, _ in rows})
+    random.Random(SEED).shuffle(names)
+    return [row for name in names for row in rows if row[0] == name][:count]
+
+
 def drawn() -> list[tuple[str, Any]]:
     """Return a tenth of the options of commands that take seconds, and some of commands whose file a change touches."""
     cheap = [row for row in OPTIONS if row[0] not in COSTLY]
-    tenth = random.Random(SEED).sample(cheap, len(cheap) // 10)
+    tenth = of_drawn_commands(cheap, len(cheap) // 10)
     touched = [row for row in cheap if row not in tenth and touches(file_of(row[0]))]
     # A change of many commands has a part of them tried, as it has of keys.
-    some = random.Random(SEED).sample(touched, min(len(touched), MOST_TOUCHED))
-    # A command is run as it is once for all of its options.
-    return sorted([*tenth, *some], key=lambda row: row[0])
+    return [*tenth, *of_drawn_commands(touched, MOST_TOUCHED)]
 
 
 @pytest.mark.check("takes 90 s")

@@ -36,19 +36,20 @@ ROOT = Path(__file__).resolve().parents[2]
 # otherwise: the guards that it tries are those of `node`, in one order with their mates.
 OF_A_SITE = pytest.mark.drawn(0.0, "telenano/runtime/site/", "services/site/")
 # A test about safety has a rig of either way.
-# Tests that follow one another on one rig keep their order, so the parameter sorts none of them.
+# A rig of a module is kept from test to test, because the parameter has the scope of a module as well; `conftest.py`
+# keeps the order of these tests.
 BOTH_WAYS = pytest.mark.parametrize(
     "processes",
     ["node", pytest.param("site", marks=OF_A_SITE)],
     indirect=True,
-    scope="function",
+    scope="module",
 )
 
 
 def apart(reason: str) -> pytest.MarkDecorator:
     """Have a test with a process a node alone, for a reason that its name has."""
     rows = [pytest.param("node", id=f"node: {reason}")]
-    return pytest.mark.parametrize("processes", rows, indirect=True, scope="function")
+    return pytest.mark.parametrize("processes", rows, indirect=True, scope="module")
 
 
 # the deepest pull of Fig. 12 [nN], the longest step of the tip there at 1 kHz [nm], and how

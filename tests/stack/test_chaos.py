@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from ledger import record
 from recovered import RESTARTED, SOON_NS, STATE_OF, Kill, after_restart, coupled, recover
-from stack_rig import CONSTANT_PUSH, OF_A_SITE, Rig
+from stack_rig import BOTH_WAYS, CONSTANT_PUSH, OF_A_SITE, Rig
 
 from telenano.recording.reader import Recording
 
@@ -27,9 +27,6 @@ KILLS = {
     # one of each process
     "site": ("controller@slave", "haptic_node@master"),
 }
-BOTH = pytest.mark.parametrize(
-    "processes", ["node", pytest.param("site", marks=OF_A_SITE)], indirect=True, scope="module"
-)
 # The recorder is killed in this way.
 OF_NODES = pytest.mark.parametrize("processes", ["node"], indirect=True, scope="module")
 
@@ -123,7 +120,7 @@ def test_hand_goes_to_zero_force(wreck: Any, node: str) -> None:
     assert seen[:2] == ["position", "off"], seen
 
 
-@BOTH
+@BOTH_WAYS
 @pytest.mark.parametrize(("node", "safe"), [("afm_node@slave", "retracted"), ("haptic_node@master", "off")])
 def test_restarted_device_is_safe_until_it_is_armed(wreck: Any, node: str, safe: str) -> None:
     kill = kill_of(wreck, node)
@@ -133,7 +130,7 @@ def test_restarted_device_is_safe_until_it_is_armed(wreck: Any, node: str, safe:
     assert first.fields()["mode"] == safe
 
 
-@BOTH
+@BOTH_WAYS
 def test_recording_has_every_death_and_restart(wreck: Any) -> None:
     rig, kills = wreck[:2]
     path = rig.out / "session.mcap"
@@ -169,7 +166,7 @@ def after_ms(path: Path, topic: str, kill: Kill, mode: str) -> float | None:
     return None
 
 
-@BOTH
+@BOTH_WAYS
 def test_times_are_entered_in_the_table_of_faults(wreck: Any) -> None:
     rig, kills = wreck[:2]
     path = rig.out / "session.mcap"
@@ -194,7 +191,7 @@ def test_times_are_entered_in_the_table_of_faults(wreck: Any) -> None:
         record(f"kill -9 of {', '.join(rig.mates_of(kill.node))}{way}", "; ".join([*texts, "restarted"]))
 
 
-@BOTH
+@BOTH_WAYS
 def test_a_node_that_dies_again_and_again_ends_the_rig(wreck: Any) -> None:
     rig, _, code, err = wreck
     assert code == 1

@@ -98,63 +98,6 @@ def start(rig: Rig) -> Rig:
     return rig
 
 
-@pytest.fixture(scope="module")
-def losing(tmp_path_factory: pytest.TempPathFactory, processes: str) -> Iterator[Rig]:
-    """Run a rig whose paths are removed over and over."""
-    with closing(Rig(tmp_path_factory.mktemp("losing"), processes)) as rig:
-        yield start(rig)
-        for other in rig.sockets.parent.glob(f"{rig.sockets.name}-*"):
-            shutil.rmtree(other)
-
-
-# `make check` tries the loss of everything, of a socket and of a lock; the others are its parts.
-IN_CHECK = ("folder removed", "socket of the AFM removed", "locks of the rig removed")
-
-
-@BOTH_WAYS
-@pytest.mark.parametrize(
-    "loss", [loss if loss in IN_CHECK else pytest.param(loss, marks=pytest.mark.endurance) for loss in LOSSES]
-)
-def test_a_rig_whose_paths_are_removed_is_found_stopped_and_commanded(losing: Rig, loss: str) -> None:
-    rig, lose = losing, LOSSES[loss]
-    rig.wait_until(lambda: is_whole(rig), "the paths of the test before")
-    process = rig.process
-    assert process is not None
-    lose(rig.sockets)
-    assert_stopped(rig)
-    rig.wait_until(lambda: mode(rig) == "estop", "the tip in emergency stop")
-    lose(rig.sockets)
-    assert listed(rig) == {"main": process.pid}
-    lose(rig.sockets)
-    armed = rig.telenano("session", "arm", "--json")
-    assert armed.returncode == 0, armed.stdout + armed.stderr
-    assert set(json.loads(armed.stdout)["answers"]) >= {HAND, TIP}
-    lose(rig.sockets)
-    state = rig.telenano("status", "--json")
-    assert "no node reports" not in state.stderr, state.stderr
-    assert {row["node"] for row in json.loads(state.stdout)["nodes"] if row["heard"]} >= {HAND, TIP}
-    lose(rig.sockets)
-    ended = rig.telenano("session", "stop")
-    assert ended.returncode == 0, ended.stdout + ended.stderr
-    rig.wait_until(lambda: is_whole(rig), "the paths made again")
-    assert rig.log_has("launcher@master", "made again") or rig.log_has(TIP, "made again")
-
-
-@BOTH_WAYS
-def test_it_says_so_and_its_recording_lacks_nothing(losing: Rig) -> None:
-    rig = losing
-    removed(rig.sockets)
-    for node in ("launcher@master", TIP, HAND):
-        said = "was removed or replaced while this process ran; it was made again"
-        rig.wait_until(lambda n=node, text=said: rig.log_has(n, text), f"the word of {node}")
-    rig.wait_until(lambda: is_whole(rig), "the paths made again")
-    for topic in ("afm/state", "haptic/state", "session/event"):
-        for node in {found.decode().src for found in rig.recording().messages(topic)} & set(NODES):
-            seqs = [state.seq for found in rig.recording().messages(topic) if (state := found.decode()).src == node]
-            assert seqs == list(range(seqs[0], seqs[0] + len(seqs))), f"messages of {node} on {topic} are missing"
-    record(f"the runtime folder is removed under a rig{rig.way}", "made again; stopped, armed and listed at once")
-
-
 @pytest.fixture
 def pair(tmp_path: Path, processes: str) -> Iterator[list[Rig]]:
     """Two rigs of one user, which have one runtime folder."""
@@ -226,36 +169,6 @@ def test_a_folder_that_is_replaced_by_that_of_another_rig_is_given_back_or_the_r
             assert not first.log_has(TIP, "no retraction of the tip")
         else:
             assert first.recording().messages("afm/state")[-1].decode().mode != "follow"
-
-
-@apart("the AFM answers the stop while the half beside it is started again")
-def test_a_node_that_is_started_again_in_the_gap_opens_no_way_for_an_arm_that_a_stop_has_not(pair: list[Rig]) -> None:
-    rig = start(pair[0])
-    removed(rig.sockets)
-    rig.kill("controller@slave")
-    assert_stopped(rig)
-    rig.wait_until(lambda: rig.log_has("launcher@master", "controller@slave was started again"), "the restart")
-    # An arm that meets a late copy of the stop is void, and is given again.
-    rig.wait_until(lambda: rig.telenano("session", "arm", "--target", "afm_node").returncode == 0, "the AFM armed")
-    removed(rig.sockets)
-    assert_stopped(rig)
-    rig.wait_until(lambda: mode(rig) == "estop", "the tip in emergency stop")
-
-
-@BOTH_WAYS
-def test_a_stop_for_an_instrument_that_is_started_again_in_the_gap_is_kept_for_it(pair: list[Rig]) -> None:
-    rig = start(pair[0])
-    removed(rig.sockets)
-    rig.kill(TIP)
-    # Whoever restarts it has not made the folder again yet, or just has.
-    removed(rig.sockets)
-    rig.telenano("estop")
-    rig.wait_until(lambda: rig.log_has("launcher@master", f"{TIP} was started again"), "the restart")
-    rig.wait_until(lambda: mode(rig) == "estop", "the tip in emergency stop")
-    record(
-        f"an emergency stop while the AFM is being started again without a folder{rig.way}",
-        "it came back in emergency stop",
-    )
 
 
 def taken_by_a_file(folder: Path) -> None:
@@ -370,3 +283,102 @@ def test_in_any_order_a_stop_is_obeyed_and_no_rig_is_called_absent(pair: list[Ri
         shutil.rmtree(other)
     code, _, err = rig.stop()
     assert code in (0, 3), (happened, err)
+
+
+# --- one rig for all tests below, in the order in which they are written ---
+
+
+@pytest.fixture(scope="module")
+def losing(tmp_path_factory: pytest.TempPathFactory, processes: str) -> Iterator[Rig]:
+    """Run a rig whose paths are removed over and over, after the tests that have the machine for two rigs."""
+    with closing(Rig(tmp_path_factory.mktemp("losing"), processes)) as rig:
+        yield start(rig)
+        for other in rig.sockets.parent.glob(f"{rig.sockets.name}-*"):
+            shutil.rmtree(other)
+
+
+# `make check` tries the loss of everything, of a socket and of a lock; the others are its parts.
+IN_CHECK = ("folder removed", "socket of the AFM removed", "locks of the rig removed")
+
+
+@BOTH_WAYS
+@pytest.mark.parametrize(
+    "loss", [loss if loss in IN_CHECK else pytest.param(loss, marks=pytest.mark.endurance) for loss in LOSSES]
+)
+def test_a_rig_whose_paths_are_removed_is_found_stopped_and_commanded(losing: Rig, loss: str) -> None:
+    rig, lose = losing, LOSSES[loss]
+    rig.wait_until(lambda: is_whole(rig), "the paths of the test before")
+    process = rig.process
+    assert process is not None
+    lose(rig.sockets)
+    assert_stopped(rig)
+    rig.wait_until(lambda: mode(rig) == "estop", "the tip in emergency stop")
+    lose(rig.sockets)
+    assert listed(rig) == {"main": process.pid}
+    lose(rig.sockets)
+    armed = rig.telenano("session", "arm", "--json")
+    assert armed.returncode == 0, armed.stdout + armed.stderr
+    assert set(json.loads(armed.stdout)["answers"]) >= {HAND, TIP}
+    lose(rig.sockets)
+    state = rig.telenano("status", "--json")
+    assert "no node reports" not in state.stderr, state.stderr
+    assert {row["node"] for row in json.loads(state.stdout)["nodes"] if row["heard"]} >= {HAND, TIP}
+    lose(rig.sockets)
+    ended = rig.telenano("session", "stop")
+    assert ended.returncode == 0, ended.stdout + ended.stderr
+    rig.wait_until(lambda: is_whole(rig), "the paths made again")
+    assert rig.log_has("launcher@master", "made again") or rig.log_has(TIP, "made again")
+
+
+@BOTH_WAYS
+def test_it_says_so_and_its_recording_lacks_nothing(losing: Rig) -> None:
+    rig = losing
+    removed(rig.sockets)
+    for node in ("launcher@master", TIP, HAND):
+        said = "was removed or replaced while this process ran; it was made again"
+        rig.wait_until(lambda n=node, text=said: rig.log_has(n, text), f"the word of {node}")
+    rig.wait_until(lambda: is_whole(rig), "the paths made again")
+    for topic in ("afm/state", "haptic/state", "session/event"):
+        for node in {found.decode().src for found in rig.recording().messages(topic)} & set(NODES):
+            seqs = [state.seq for found in rig.recording().messages(topic) if (state := found.decode()).src == node]
+            assert seqs == list(range(seqs[0], seqs[0] + len(seqs))), f"messages of {node} on {topic} are missing"
+    record(f"the runtime folder is removed under a rig{rig.way}", "made again; stopped, armed and listed at once")
+
+
+def armed_tip(rig: Rig) -> None:
+    """Arm the tip, again where the arm met a late copy of a stop and is void, until no stop holds it."""
+    rig.wait_until(lambda: rig.telenano("session", "arm", "--target", "afm_node").returncode == 0, "the AFM armed")
+    rig.wait_until(lambda: mode(rig) != "estop", "a tip in no emergency stop")
+
+
+@apart("the AFM answers the stop while the half beside it is started again")
+def test_a_node_that_is_started_again_in_the_gap_opens_no_way_for_an_arm_that_a_stop_has_not(losing: Rig) -> None:
+    rig = losing
+    rig.wait_until(lambda: is_whole(rig), "the paths of the test before")
+    removed(rig.sockets)
+    rig.kill("controller@slave")
+    assert_stopped(rig)
+    rig.wait_until(lambda: rig.log_has("launcher@master", "controller@slave was started again"), "the restart")
+    armed_tip(rig)
+    removed(rig.sockets)
+    assert_stopped(rig)
+    rig.wait_until(lambda: mode(rig) == "estop", "the tip in emergency stop")
+
+
+@BOTH_WAYS
+def test_a_stop_for_an_instrument_that_is_started_again_in_the_gap_is_kept_for_it(losing: Rig) -> None:
+    rig = losing
+    rig.wait_until(lambda: is_whole(rig), "the paths of the test before")
+    # The tip is in no stop before, so that the one which is seen afterwards is this one.
+    armed_tip(rig)
+    removed(rig.sockets)
+    rig.kill(TIP)
+    # Whoever restarts it has not made the folder again yet, or just has.
+    removed(rig.sockets)
+    rig.telenano("estop")
+    rig.wait_until(lambda: rig.log_has("launcher@master", f"{TIP} was started again"), "the restart")
+    rig.wait_until(lambda: mode(rig) == "estop", "the tip in emergency stop")
+    record(
+        f"an emergency stop while the AFM is being started again without a folder{rig.way}",
+        "it came back in emergency stop",
+    )
