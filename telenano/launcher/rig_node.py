@@ -166,11 +166,11 @@ class RigNode(Node):
     def _look_after_places(self, now_ns: int) -> None:
         """Report removed sockets, and end the rig if its own socket is lost, because no command can reach it any more.
 
-        The devices are then made safe, as at any end.
+        By then the devices have stopped by themselves, and they are made safe as at any end.
         """
         self.reports.extend(self._places.take(now_ns))
         places = self.context.places
-        if places is not None and places.given_up and not self._failure:
+        if places is not None and places.is_hopeless and not self._failure:
             text = f"no command reaches this rig any more: {places.obstacle}"
             self._failure = f"{text}; its devices were made safe, and it ends"
             self.report("error", self._failure)

@@ -53,6 +53,11 @@ class Places:
         """Whether a place is lost and could not be made again at two checks in a row."""
         return self._failures >= _LOOKS
 
+    @property
+    def is_hopeless(self) -> bool:
+        """Whether as many more checks have failed, during which each device that has lost its place has stopped."""
+        return self._failures >= 2 * _LOOKS
+
     def are_kept(self) -> bool:
         """Return whether all places are intact."""
         return not any(place.lost() for place in self._places)

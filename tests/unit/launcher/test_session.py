@@ -279,10 +279,11 @@ def test_a_rig_that_no_command_reaches_any_more_makes_its_devices_safe_and_ends(
     rig.tick(4)
     rig.context.places = Places()
     rig.context.places.add(Taken(error))
-    # The loop of a node looks twice a second; at the second look in a row a path is given up.
-    rig.context.places.look()
-    rig.tick_alive(2)
-    assert not rig.finished
+    # The loop of a node looks twice a second: at the second look in a row a device stops, and at the fourth the rig ends.
+    for _ in range(3):
+        rig.context.places.look()
+        rig.tick_alive(2)
+        assert not rig.finished
     rig.context.places.look()
     rig.tick_alive(2)
     assert rig.finished == bool(error)
