@@ -279,7 +279,7 @@ def test_a_rig_that_no_command_reaches_any_more_makes_its_devices_safe_and_ends(
     rig.tick(4)
     rig.context.places = Places()
     rig.context.places.add(Taken(error))
-    # The loop of a node looks twice a second: at the second look in a row a device stops, and at the fourth the rig ends.
+    # A loop looks twice a second: at the second look in a row a device stops, and at the fourth the rig ends.
     for _ in range(3):
         rig.context.places.look()
         rig.tick_alive(2)
