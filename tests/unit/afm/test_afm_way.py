@@ -2,6 +2,7 @@
 
 import math
 import random
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -120,6 +121,7 @@ def test_a_surface_that_was_met_is_kept_clear_of() -> None:
         ({"command_age_s": 0.06}, safety.ENDED_BY_SILENCE),
         ({"reference_m": math.nan}, safety.ENDED_BY_SILENCE),
         ({"reference_m": 1.4e-9, "hand_force_n": 0.49}, safety.NOT_ENDED),
+        ({"hand_force_n": safety.PRESSED_N}, safety.NOT_ENDED),
     ],
 )
 def test_any_input_ends_a_way_to_a_stated_place(change: dict[str, Any], ended: int) -> None:
@@ -133,6 +135,77 @@ def test_any_input_ends_a_way_to_a_stated_place(change: dict[str, Any], ended: i
         _, outputs = run(state, 300, reference_m=change.get("reference_m", 0.0) if ended != 5 else 0.0)
         # where the hand has moved, that is what moves it
         assert max(later.base_m for later in outputs) <= output.base_m + 1e-15
+
+
+@pytest.mark.parametrize(
+    ("change", "ended"),
+    [
+        ({}, safety.NOT_ENDED),
+        ({"arm_requested": True, "goes": True}, safety.NOT_ENDED),
+        ({"arm_requested": True}, safety.ENDED_BY_COMMAND),
+        ({"interrupted": True}, safety.ENDED_BY_COMMAND),
+    ],
+)
+def test_a_way_to_the_hand_outlasts_a_hold_but_no_command(change: dict[str, Any], ended: int) -> None:
+    assert not RETRACTED.goes
+    state, _ = armed(12e-9, goes=True)
+    state, _ = run(state, 20, reference_m=12e-9)
+    state, (output,) = run(state, 1, reference_m=12e-9, command_age_s=0.06)
+    assert (output.mode, state.goes) == (safety.MODE_HOLD, True)
+    state, (output,) = run(state, 1, reference_m=12e-9, command_age_s=0.06, **change)
+    assert (output.ended, state.goes) == (ended, ended == safety.NOT_ENDED)
+
+
+def test_a_word_to_a_tip_that_follows_sends_it_to_the_hand_unless_it_is_there() -> None:
+    state, _ = armed(0.0)
+    state, outputs = run(state, 20)
+    assert outputs[-1].base_m == pytest.approx(AWAY_M, rel=1e-12, abs=0.0)
+    state, _ = run(state, 1, arm_requested=True, goes=True)
+    state, outputs = run(state, 100)
+    assert (outputs[-1].base_m, outputs[-1].offset_m, state.goes) == (0.0, 0.0, False)
+    state, (output,) = run(state, 1, arm_requested=True, goes=True)
+    assert (output.ended, state.goes) == (safety.NOT_ENDED, False)
+
+
+@pytest.mark.parametrize(("base_m", "is_placed"), [(-2e-12, False), (0.0, True)])
+def test_a_base_that_goes_to_the_hand_is_placed_where_its_full_speed_ends(base_m: float, is_placed: bool) -> None:
+    """Beyond that it is let in: here by half a picometre a tick, of 12 nm that are left."""
+    state = SafetyState(safety.MODE_FOLLOW, base_m, safety.REASON_ARMED, offset_m=12e-9 - base_m, goes=True)
+    state = state._replace(place_m=math.inf, speed_m_per_s=0.5e-9)
+    state, (output,) = run(state, 1, reference_m=12e-9)
+    assert output.base_m == pytest.approx(base_m + DT * 0.5e-9, rel=1e-3, abs=0.0)
+    assert (safety.is_placed(output), state.goes) == (is_placed, True)
+
+
+def test_full_speed_ends_at_the_clearance_and_not_beyond() -> None:
+    met = SafetyState(safety.MODE_FOLLOW, -20e-9, safety.REASON_ARMED)
+    met, _ = run(met, 1, reference_m=-20e-9, force_n=1.1e-9)
+    away, _ = run(met, 200, action=safety.ACTION_RETRACT)
+    state, _ = armed(0.0, away)
+    state, _ = run(state, 1, arm_requested=True, goes=True, place_m=0.0, speed_m_per_s=700e-9)
+    _, outputs = run(state, 200)
+    steps = [after.base_m - before.base_m for before, after in pairwise(outputs)]
+    clear_m = -20e-9 - safety.CLEARANCE_M
+    assert any(each.base_m == pytest.approx(clear_m, rel=1e-9, abs=0.0) for each in outputs)
+    for each, step in zip(outputs, steps, strict=False):
+        assert each.base_m < clear_m - 1e-15 or step <= 1.01 * DT * safety.LET_IN_M_PER_S
+
+
+@pytest.mark.parametrize(("place_m", "arrives_m"), [(-60e-9, -60e-9), (1e-6, 5e-9), (-1e-6, -80e-9)])
+def test_a_way_ends_at_its_place_or_at_the_end_of_the_range(place_m: float, arrives_m: float) -> None:
+    params = PARAMS._replace(base_min_m=-80e-9, base_max_m=5e-9)
+    state = SafetyState(safety.MODE_FOLLOW, -20e-9, safety.REASON_ARMED, offset_m=20e-9)
+    word = HAND._replace(arm_requested=True, goes=True, place_m=place_m, speed_m_per_s=500e-9)
+    state, output = safety_step(params, state, word, DT)
+    outputs = [output]
+    while state.goes and len(outputs) < 2000:
+        state, output = safety_step(params, state, HAND, DT)
+        outputs.append(output)
+    assert [each.ended for each in outputs] == [safety.NOT_ENDED] * (len(outputs) - 1) + [safety.ENDED_THERE]
+    # It ends in the tick in which it arrives.
+    assert outputs[-2].offset_m != output.offset_m
+    assert output.offset_m == pytest.approx(-arrives_m, rel=1e-9, abs=0.0)
+    assert output.base_m == pytest.approx(arrives_m, rel=1e-9, abs=0.0)
 
 
 def test_no_course_of_inputs_moves_the_base_towards_the_sample_without_a_word() -> None:

@@ -2,16 +2,19 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
+import numpy as np
 import pytest
 from recorder_samples import EPOCH_NS, MILLISECOND_NS, NODE, sample
 
 from telenano.analysis import Session
-from telenano.analysis.conditions import conditions, described, laws_in_turn, title
+from telenano.analysis.conditions import _law_status, conditions, described, laws_in_turn, title
 from telenano.recording.reader import Recording
 from telenano.recording.writer import FileSettings, RecordingWriter
 from telenano.settings.scenario import Scenario
-from telenano.wire import encode
+from telenano.wire import ConfigError, encode
 from telenano.wire.codec import fields_of
 
 SCENARIO = Scenario(
@@ -53,6 +56,45 @@ def test_the_laws_that_ran_and_the_delay_that_was_are_stated(recording: Recordin
     assert found["parameters"]["impedance_n_s_per_m"] == 100.0
     assert title(found) == "wave then passivity, round trip of the link 50 ms, link lte"
     assert title({**found, "instrument": "real"}).endswith("link lte, instrument real")
+
+
+def test_a_law_that_is_not_installed_is_named(recording: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
+    needed = {"laws.absent": {"package": "of-a-stranger", "version": "1.2"}}
+    monkeypatch.setattr("telenano.analysis.conditions.recorded_plugins", lambda *_: needed)
+    with pytest.raises(ConfigError, match=r"law absent of of-a-stranger 1\.2"):
+        conditions(recording, SCENARIO, EPOCH_NS, EPOCH_NS + 100 * MILLISECOND_NS)
+
+
+def test_a_report_at_the_first_instant_of_a_session_belongs_to_it(recording: Recording) -> None:
+    # The last report of the first law came 8 ms after the beginning of the recording.
+    found = laws_in_turn(recording, EPOCH_NS + 8 * MILLISECOND_NS, EPOCH_NS + 100 * MILLISECOND_NS)
+    assert found == [(0.0, "wave"), (pytest.approx(0.002), "passivity")]
+
+
+def test_the_loop_s_round_trip_is_rounded_to_a_microsecond() -> None:
+    columns = {
+        "t_ns": np.array([0, 1, 2]),
+        "src": np.array(["controller@master"] * 3),
+        "law": np.array(["wave"] * 3),
+        "round_trip_s": np.array([0.0, 0.0012344, 0.0012348]),
+        "round_trip_valid": np.array([False, True, True]),
+    }
+    recording: Any = SimpleNamespace(
+        channels=[SimpleNamespace(channel_topic="law/status")], columns=lambda topic, names: columns
+    )
+    assert _law_status(recording, 0, 2) == (["wave"], 1.235)
+
+
+@pytest.mark.parametrize(
+    ("greatest_ms", "median_ms", "words"),
+    [(10.0, 5.0, "5 ms"), (10.1, 5.0, "0 to 10.1 ms"), (30.0, 60.0, "60 ms"), (30.1, 60.0, "0 to 30.1 ms")],
+)
+def test_a_range_is_shown_where_it_is_wider_than_ten_milliseconds_and_half_of_the_median(
+    recording: Recording, greatest_ms: float, median_ms: float, words: str
+) -> None:
+    found = conditions(recording, SCENARIO, EPOCH_NS, EPOCH_NS + 100 * MILLISECOND_NS)
+    found |= {"link_round_trip_range_ms": [0.0, greatest_ms], "link_round_trip_ms": median_ms}
+    assert title(found) == f"wave then passivity, round trip of the link {words}, link lte"
 
 
 def test_each_law_has_the_time_from_which_it_was_in_force_and_the_first_one_that_of_the_begin(

@@ -54,6 +54,17 @@ def test_a_tip_that_is_off_for_a_fiftieth_of_a_second_is_still_in_contact(gap_s:
     assert (found[0][0], found[-1][1]) == (pytest.approx(2.0, abs=1e-3), pytest.approx(5.0, abs=1e-3))
 
 
+def test_a_contact_ends_where_the_tip_is_off_and_a_last_one_with_the_samples() -> None:
+    times = np.array([-1.0, 0.0, 0.02, 0.5, 1.0])
+    assert contacts_of(times, np.array([True, False, True, True, True])) == [(-1.0, 0.0), (0.02, 1.0)]
+    assert contacts_of(times, np.array([False, True, True, False, False])) == [(0.0, 0.5)]
+
+
+def test_a_tip_that_comes_off_five_milliseconds_before_the_end_is_not_said_to() -> None:
+    assert [moment.kind for moment in moments_of([(-1.0, 0.0)], 0.005)] == ["contact"]
+    assert [moment.kind for moment in moments_of([(-1.0, -1e-9)], 0.005)] == ["contact", "lost"]
+
+
 def test_moments_are_at_both_ends_of_a_contact_but_not_at_the_end_of_the_session() -> None:
     def kinds(off_s: float) -> list[tuple[str, float]]:
         return [(moment.kind, moment.time_s) for moment in moments_of([(2.0, off_s)], 8.0)]

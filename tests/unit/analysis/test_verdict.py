@@ -8,7 +8,7 @@ import pytest
 
 from telenano.analysis.findings import Cause, Finding
 from telenano.analysis.modes import LEAST_SAMPLES, fitted, noise_floor
-from telenano.analysis.verdict import SMALL_SHARE, Kind, judge
+from telenano.analysis.verdict import ERROR_SHARE, SMALL_SHARE, Kind, judge
 from telenano.analysis.verdict_sentences import sentence
 
 TIME_S = np.arange(8000) * 1e-3
@@ -179,6 +179,26 @@ def test_no_reason_has_a_number_that_is_none() -> None:
 
 def test_seven_kinds_and_no_more() -> None:
     assert len(get_args(Kind)) <= 7
+
+
+def test_what_is_no_motion_has_the_size_of_its_numbers_and_no_noise() -> None:
+    force = ringing(0.0)
+    force[100:200] = np.inf
+    found = judge(TIME_S, force, 1.0)
+    finite = force[np.isfinite(force)]
+    assert (found.kind, found.peak_to_peak_n, found.noise_n) == ("diverged", float(np.ptp(finite)), 0.0)
+    assert judge(TIME_S, np.full(TIME_S.size, np.nan), 1.0)[:4] == ("diverged", None, 0.0, 0.0)
+    force = ringing(0.0)[: LEAST_SAMPLES - 1]
+    found = judge(TIME_S[: LEAST_SAMPLES - 1], force, 1.0)
+    assert (found.cause, found.peak_to_peak_n, found.noise_n) == (Cause.FEW_SAMPLES, float(np.ptp(force)), 0.0)
+    assert judge(TIME_S[:LEAST_SAMPLES], ringing(0.0)[:LEAST_SAMPLES], 1.0).cause is not Cause.FEW_SAMPLES
+
+
+@pytest.mark.parametrize("hand_force_n", [0.2, 2.0])
+def test_what_noise_hides_is_said_with_the_noise_that_would_do(hand_force_n: float) -> None:
+    found = judge(TIME_S, 1.0 + noise(hand_force_n, TIME_S.size, seed=5), hand_force_n)
+    expected = Finding("cannot_say", Cause.HIDDEN_BY_NOISE, needs_noise_n=ERROR_SHARE * hand_force_n)
+    assert (found.cause, found.reason) == (expected.cause, sentence(expected, found.noise_n))
 
 
 @pytest.mark.parametrize("force_n", [-1.0, 0.0, math.nan])

@@ -113,6 +113,21 @@ def test_a_second_word_for_the_same_sample_replaces_the_first() -> None:
     history.record(5, 20)
     assert (history.from_ns, history.delay_ns) == ([0, 5], [0, 20])
     assert (history.of(4), history.of(5), history.of(6)) == (0, 20, 20)
+    history.record(9, 30)
+    history.record(9, 40)
+    assert (history.from_ns, history.delay_ns) == ([0, 5, 9], [0, 20, 40])
+
+
+def test_delays_of_samples_older_than_the_judged_one_are_not_kept() -> None:
+    hand = Freshness("controller@master", START_NS)
+    for n in range(100):
+        stamp_ns = LATER_NS + 100 * n * MS
+        hand.record(told("forward", stamp_ns, 10.0 + n))
+        hand.record(told("backward", stamp_ns, 20.0 + n))
+        # A deadline before the judged sample is still known, and after it the newest report counts.
+        assert age_ms(hand, stamp_ns + 300 * MS, stamp_ns) == pytest.approx(270.0 - 2.0 * n, rel=1e-6, abs=0.0)
+    kept = hand.capture()
+    assert max(len(kept.forward.from_ns), len(kept.backward.from_ns)) <= 3
 
 
 def test_what_older_samples_had_is_forgotten_and_no_more() -> None:
