@@ -167,7 +167,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "CommandHandler.__init__: self._distrust_until_ns = 0 [0 => 1]": "no command comes a nanosecond after 1970",
     },
     "telenano/runtime/loop/estop_latch.py": {
-        "EstopLatch.__init__: self._run = token(6) [6 => 7]": "a run has a name of its own with one character more, too",
+        "EstopLatch.__init__: self._run = token(6) [6 => 7]": "a name with one character more serves as well",
         "EstopLatch.__init__: self._newest_ns = 0 [0 => 1]": "an age is stated in tenths of a second",
     },
     "telenano/console/emergency_stop.py": {
