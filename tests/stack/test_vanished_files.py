@@ -113,7 +113,10 @@ def assert_sound(rig: Given) -> None:
     assert code in (0, 3), err
     assert summary
     files = sorted(rig.out.glob("session*.mcap"))
-    for path in files:
+    # A recorder that is killed as it makes its removed file again leaves one without a channel.
+    begun_files = [path for path in files if Recording(path).channels]
+    assert begun_files
+    for path in begun_files:
         assert {"site.yaml", "scenario.yaml"} <= set(Recording(path).attachments), path
     assert open_recordings(files).messages("afm/state")
     assert (rig.out / "scenario.yaml").exists()
