@@ -7,6 +7,7 @@ import lzma
 from pathlib import Path
 
 import pytest
+from benchmark_folders import COMPUTED_BY
 from telenano_lab.experiments.benchmark import kept as kept_module
 from telenano_lab.experiments.benchmark.cell import compared, named_runs
 from telenano_lab.experiments.benchmark.kept import Kept, differences, kept, main, read_outcomes, write
@@ -18,11 +19,6 @@ from telenano_lab.studies.option_values import COMPARED_LAWS
 from telenano.testing import invoke
 from telenano.wire import ConfigError
 
-# What a run is computed by.
-COMPUTED_BY = (
-    "packages/telenano-lab/telenano_lab/", "packages/telenano-laws/", "telenano/afm/", "telenano/analysis/",
-    "telenano/hand/", "telenano/laws/", "telenano/link/", "telenano/lockstep/", "telenano/numerics/",
-)  # fmt: skip
 OPTIONS = {"law": "--law", "network": "--network", "seed": "--seed"}
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from benchmark_folders import COMPUTED_BY
 from telenano_lab.experiments.benchmark import line_advice
 from telenano_lab.experiments.benchmark.line_advice import advise, failures, in_words, kind_of_line, situation_of
 from telenano_lab.experiments.benchmark.plan import INSTRUMENTS, LINES, SAMPLES, Run
@@ -27,12 +28,6 @@ ORDINARY: dict[str, Any] = {
     "lowest_energy_j": 0.0, "guarded": False, "reason": "the motion dies out", "peak_n": 1.0, "tip_n": 1.0,
     "hand_n": 1.0,
 }  # fmt: skip
-
-# What the figures of a line are computed by.
-COMPUTED_BY = (
-    "packages/telenano-lab/telenano_lab/", "packages/telenano-laws/", "telenano/afm/", "telenano/analysis/",
-    "telenano/hand/", "telenano/laws/", "telenano/link/", "telenano/lockstep/", "telenano/numerics/",
-)  # fmt: skip
 
 
 class Trials(Sweep):
