@@ -171,9 +171,8 @@ def _change(mode: Mode, window: Window) -> tuple[float, float]:
 def _growing(mode: Mode, window: Window, change: float, cycles: float, least: float) -> Fate:
     """Return the fate of a mode whose fit surely grows."""
     # A growth must exceed the residual, and rise from third to third if the mode turns often enough.
-    turns_often = cycles >= LEAST_TURNS
     is_rising = window.seen(mode) > least and (
-        not turns_often or (rises(window.fit, mode, change) and rises_where_seen(window, mode))
+        cycles < LEAST_TURNS or (rises(window.fit, mode, change) and rises_where_seen(window, mode))
     )
     # A motion that was seen for two turns is extrapolated by the length of the window.
     own = window.values[-max(2, math.ceil(len(window.values) * min(1.0, max(cycles, 1.0) / change))) :]
