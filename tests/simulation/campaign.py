@@ -40,12 +40,6 @@ INVARIANTS = (
 )  # fmt: skip
 
 
-# Known open faults, which are counted and reported, but fail no test until they are corrected.
-KNOWN = {
-    "law_not_blamed": "a single disturbance late in a hold can be judged as motion that grows (docs/reliability.md)",
-}
-
-
 class Tried(NamedTuple):
     """Result of a schedule: broken invariants, situations reached, simulated and processor time [s], if reported."""
 
@@ -130,7 +124,8 @@ class Tally(NamedTuple):
 
     def rare(self) -> list[str]:
         """Return the situations that a night would reach less than `OFTEN` times."""
-        return [name for name in reached.SITUATIONS if self.nightly(self.reached()[name]) < OFTEN]
+        counts = self.reached()
+        return [name for name in reached.SITUATIONS if self.nightly(counts[name]) < OFTEN]
 
 
 def campaign(
