@@ -21,8 +21,9 @@ from telenano.recording.quantities import model_of
 from telenano.recording.reader import Recording
 from telenano.recording.rewrite import CopyWriter
 from telenano.recording.writer import FileSettings, RecordingWriter
-from telenano.wire import TOPICS, decode, encode, example
+from telenano.wire import decode, encode, example
 from telenano.wire.nodes import site_of
+from telenano.wire.topics import OWN_TOPICS
 
 Path_ = tuple[str | int, ...]
 _ABSENT = object()
@@ -71,7 +72,7 @@ def cases_of(path: Path, seed: int, *, of_each: int = 1) -> list[Case]:
 
 
 def with_examples(source: Path, target: Path) -> Path:
-    """Copy a recording, with an example message added for each missing topic, half a second after the start."""
+    """Copy a recording, with an example added for each missing topic of the core, half a second after the start."""
     whole = Recording(source)
     has = {channel.topic for channel in whole.channels}
     at_ns = whole.span_ns[0] + 500_000_000
@@ -82,7 +83,7 @@ def with_examples(source: Path, target: Path) -> Path:
     for name, facts in whole.metadata.items():
         writer.add_metadata(name, facts)
     rows = [(one.log_ns, one.topic, one.src, one.site, one.publish_ns, one.seq, one.payload) for one in whole.select()]
-    for topic in TOPICS:
+    for topic in OWN_TOPICS:
         if topic not in has:
             made = msgspec.structs.replace(example(topic), t_ns=at_ns, seq=0)
             rows.append((at_ns, topic, made.src, site_of(made.src), at_ns, 0, encode(made)))
