@@ -164,6 +164,7 @@ def test_a_real_device_is_refused(tmp_path: Path, setting: str, key: str) -> Non
         session(tmp_path, settings=(*SETTINGS, setting))
 
 
+@pytest.mark.check("takes 3 s")
 def test_where_the_operator_is_a_person_nothing_pushes_the_hand_and_it_is_said(tmp_path: Path) -> None:
     scan = "0.2 set afm_node@slave program=scan scan.pixels=8"
     outcome, (said,) = session(tmp_path, scenario="image", duration_s=0.8, settings=(), at=(scan,))
