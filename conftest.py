@@ -8,18 +8,20 @@ import sys
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from changed_files import touches
 from hypothesis import HealthCheck, settings
 
 from telenano.settings import plugins
+from telenano.wire import codec
 from telenano.wire.topics import TOPICS
 
 ROOT = Path(__file__).parent
 # What the main function of a process changes for as long as that process lives.
 _SIGNALS = sorted(signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP})
-_TABLES: tuple[dict[object, object], ...] = (TOPICS, plugins._problems)
+_TABLES: tuple[dict[Any, Any], ...] = (TOPICS, codec._FORMS, codec.MOST_BYTES, plugins._problems)
 
 # derandomize: the same examples every run, and no database of them on disk
 settings.register_profile(
