@@ -60,6 +60,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.check("takes 1.7 s")
 def test_a_seed_gives_the_same_messages_at_the_same_times_and_another_seed_others(tmp_path: Path) -> None:
     found = [digest(session(tmp_path / str(n), seed=seed)[0].recordings[0]) for n, seed in enumerate((5, 5, 6))]
     assert found[0] == found[1] != found[2]
