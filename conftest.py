@@ -1,27 +1,23 @@
-"""What every test shares: seeded property tests without a time limit on single examples, and which cases run when."""
+"""What every test shares.
 
-import contextlib
+Property tests are seeded and have no time limit on single examples, a test gives back what it changed in its process,
+and marks say which cases run when.
+"""
+
 import gc
-import logging
-import signal
 import sys
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 from changed_files import touches
 from hypothesis import HealthCheck, settings
+from restored_process import process_restored, process_restored_after_a_file
 
-from telenano.settings import plugins
-from telenano.wire import codec
-from telenano.wire.topics import TOPICS
+__all__ = ["process_restored", "process_restored_after_a_file"]
 
 ROOT = Path(__file__).parent
-# What the main function of a process changes for as long as that process lives.
-_SIGNALS = sorted(signal.valid_signals() - {signal.SIGKILL, signal.SIGSTOP})
-_TABLES: tuple[dict[Any, Any], ...] = (TOPICS, codec._FORMS, codec.MOST_BYTES, plugins._problems)
 
 # derandomize: the same examples every run, and no database of them on disk
 settings.register_profile(
@@ -69,42 +65,3 @@ def pytest_collection() -> Iterator[None]:
         gc.freeze()
         gc.enable()
         sys.dont_write_bytecode = forbidden
-
-
-@contextlib.contextmanager
-def _restored() -> Iterator[None]:
-    """Give this process back its handlers of signals, its log, its collection of garbage and tables that grow by use.
-
-    Without it a test would pass or fail by the files that the same process has run before it.
-    """
-    handlers = {number: signal.getsignal(number) for number in _SIGNALS}
-    wakeup = signal.set_wakeup_fd(-1)
-    signal.set_wakeup_fd(wakeup)
-    root, collects = logging.getLogger(), gc.isenabled()
-    log_handlers, level = root.handlers[:], root.level
-    tables = [dict(table) for table in _TABLES]
-    yield
-    signal.set_wakeup_fd(wakeup)
-    for number, handler in handlers.items():
-        # The kernel keeps some numbers for the threads of the C library, and a handler of C has no object.
-        if signal.getsignal(number) is not handler and handler is not None:
-            signal.signal(number, handler)
-    root.handlers[:] = log_handlers
-    root.setLevel(level)
-    (gc.enable if collects else gc.disable)()
-    for table, before in zip(_TABLES, tables, strict=True):
-        if table != before:
-            table.clear()
-            table.update(before)
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _process_restored_after_a_file() -> Iterator[None]:
-    with _restored():
-        yield
-
-
-@pytest.fixture(autouse=True)
-def _process_restored() -> Iterator[None]:
-    with _restored():
-        yield
