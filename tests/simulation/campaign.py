@@ -81,7 +81,7 @@ def tried(schedule: Schedule, *, reports: bool = True) -> Tried:
 
 def report(folder: Path, *, is_made: bool = True) -> None:
     """Write the statements of the report into verdict.json of a session; without a report, the reason for that."""
-    said: dict[str, Any] = {"kind": "", "reason": "", "missing": [], "holds": [], "failure": "no report was made"}
+    said: dict[str, Any] = dict(kind="", reason="", start_ns=0, missing=[], holds=[], failure="no report was made")
     if is_made:
         try:
             said |= {**_report_of(folder), "failure": ""}
@@ -94,8 +94,14 @@ def _report_of(folder: Path) -> dict[str, Any]:
     parts = sorted((folder / "far").glob("*.mcap"))
     files = SessionFolder(folder)
     files.note_far([path.name for path in parts])
-    summary = RecordedSession([files.merge(parts)] if parts else list(files.own()[0])).summary
-    said = {"kind": summary["verdict"], "reason": summary["reason"], "holds": summary["holds"]}
+    session = RecordedSession([files.merge(parts)] if parts else list(files.own()[0]))
+    summary = session.summary
+    said = {
+        "kind": summary["verdict"],
+        "reason": summary["reason"],
+        "start_ns": session.start_ns,
+        "holds": summary["holds"],
+    }
     return {**said, "missing": summary["recording"]["missing"]}
 
 

@@ -335,7 +335,8 @@ def judge_verdict(session: Session) -> Iterator[Break]:
         yield Break("law_not_blamed", 0.0, f"{session.verdict['kind']}: {session.verdict['reason'][:200]}")
     hands, tips = session.direct[HAND, "haptic/state"], Newest(session.direct[TIP, "afm/state"])
     lost = sorted([*session.missing(HAND, "haptic/state"), *session.missing(TIP, "afm/state")])
-    zero_s = next((one.sent_s - one.fields["session_s"] for one in hands if one.fields["session_s"] > 0.0), 0.0)
+    # A force profile that a person starts again is another session.
+    zero_s = (session.verdict["start_ns"] - session.epoch_ns) * 1e-9
     for hold in session.verdict["holds"]:
         inside = [one for one in hands if hold["start_s"] <= one.sent_s - zero_s <= hold["end_s"]]
         if hold["verdict"] != "stable" or len(inside) < 50 or not _is_known(lost, inside[0].sent_s, inside[-1].sent_s):
@@ -395,6 +396,5 @@ def judged(session: Session) -> list[Break]:
 
 
 if __name__ == "__main__":
-    FOUND = judged(Session(Path(sys.argv[1])))
-    print(*(f"{one.invariant} at {one.at_s:.3f} s: {one.text}" for one in FOUND), sep="\n")
-    sys.exit(bool(FOUND))
+    FOUND = [f"{one.invariant} at {one.at_s:.3f} s: {one.text}" for one in judged(Session(Path(sys.argv[1])))]
+    sys.exit("\n".join(FOUND) or None)
