@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 
 import outside_judge
 import reached
-from fault_schedule import Schedule
-from faulty_rig import RATE_HZ, run
+from fault_schedule import RATES_HZ, Schedule
+from faulty_rig import run
 from outside_judge import Break
 from processor_time import without_collector
 
@@ -155,8 +155,8 @@ def speed(tally: Tally) -> str:
     """Return a sentence on the speed of a campaign."""
     rate = tally.simulated_h / max(tally.processor_h, 1e-9)
     return (
-        f"{len(tally.schedules)} schedules, {tally.simulated_h:.3f} simulated hours at {RATE_HZ} Hz in "
-        f"{tally.processor_h:.3f} hours of one processor: {rate:.2f} simulated hours an hour"
+        f"{len(tally.schedules)} schedules, {tally.simulated_h:.3f} simulated hours at {min(RATES_HZ):g} to "
+        f"{max(RATES_HZ):g} Hz in {tally.processor_h:.3f} hours of one processor: {rate:.2f} simulated hours an hour"
     )
 
 

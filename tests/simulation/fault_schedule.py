@@ -43,6 +43,8 @@ LAWS = (
     "wave", "virtual_impedance", "position_force", "passivity", "bounded_model", "four_channel", "fractal_impedance",
     "matched_wave", "model_mediated", "smith", "tactile", "tdpa", "two_layer",
 )  # fmt: skip
+# Rates of the loops [Hz]: at 50 Hz the deadline of the devices has two and a half periods, at 250 Hz twelve.
+RATES_HZ = (50.0, 100.0, 100.0, 250.0)
 # Latest begin of a group of faults, since the start of the processes [s].
 FAULTS_S = 4.5
 # Time without faults after the last one, before a person arms; and time after that in which the rig must recover.
@@ -55,7 +57,8 @@ class Schedule(NamedTuple):
     """A session with its faults.
 
     seed: seed of all delays on the sites; law: the law at the start; delay_s: delay of the network in each direction
-    [s]; link_s: delay that the link adds in each direction [s]; events: the events in the order of time.
+    [s]; link_s: delay that the link adds in each direction [s]; events: the events in the order of time; rate_hz: the
+    rate of the loops [Hz].
     """
 
     seed: int
@@ -63,6 +66,7 @@ class Schedule(NamedTuple):
     delay_s: float
     link_s: float
     events: tuple[Event, ...]
+    rate_hz: float = 250.0
 
     @classmethod
     def drawn(cls, seed: int) -> "Schedule":
@@ -77,18 +81,19 @@ class Schedule(NamedTuple):
             events += _GROUPS[group][1](dice, round(dice.uniform(0.3, FAULTS_S), 3))
         events = _few_kills(events)
         delay_s, link_s = dice.choice([0.001, 0.005, 0.02, 0.05]), dice.choice([0.0, 0.0, 0.01])
-        return cls(seed, _law(dice), delay_s, link_s, tuple(sorted(events, key=lambda one: one["at_s"])))
+        events.sort(key=lambda one: one["at_s"])
+        return cls(seed, _law(dice), delay_s, link_s, tuple(events), dice.choice(RATES_HZ))
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> "Schedule":
         """Return a schedule from its document; raise ValueError if that is invalid."""
-        if missing := set(cls._fields) - set(document):
+        if missing := set(cls._fields) - set(cls._field_defaults) - set(document):
             raise ValueError(f"the schedule has no {', '.join(sorted(missing))}")
         events = tuple(document["events"])
         for event in events:
             if event.get("kind") not in KINDS or "at_s" not in event:
                 raise ValueError(f"{event}: an event has `at_s` and a `kind` of {', '.join(sorted(KINDS))}")
-        return cls(**{name: document[name] for name in cls._fields if name != "events"}, events=events)
+        return cls(**{name: value for name, value in document.items() if name in cls._fields} | {"events": events})
 
     def text(self) -> str:
         """Return the schedule as JSON."""

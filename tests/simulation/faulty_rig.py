@@ -44,7 +44,6 @@ from telenano.wire.messages import SessionControl, SessionEvent
 from telenano.wire.nodes import FAR_RECORDER, KEEPERS, LAUNCHER, RECORDER, is_meant, name_of, site_of
 from telenano.wire.received import Received
 
-RATE_HZ = 250
 _KILLED = -9
 _PERSON_NS = 20_000_000
 _STOP_NS = 50_000_000
@@ -517,7 +516,7 @@ def scenario_of(schedule: Schedule) -> dict[str, Any]:
         "name": "faults",
         "description": "A hand presses the tip onto mica twice, while faults happen",
         "duration_s": SESSION_S,
-        "realtime": {"rate_hz": float(RATE_HZ)},
+        "realtime": {"rate_hz": schedule.rate_hz},
         "haptic_node": {"operator": {"kind": "force_profile", "points": points}},
         "controller": {"law": schedule.law},
         "afm_node": {"rest_distance_m": 10.0e-9},
@@ -559,10 +558,10 @@ def _faulty_devices(rig: FaultyRig) -> Iterator[None]:
     make_hand, make_tip = haptic_process.device_of, afm_process.driver_of
 
     def hand(*given: Any) -> Any:
-        return FaultyHand(make_hand(*given), lambda: rig.fault_of("hand"))
+        return FaultyHand(make_hand(*given), lambda: rig.fault_of("hand"), 1.0 / rig.schedule.rate_hz)
 
     def tip(*given: Any) -> Any:
-        return FaultyTip(make_tip(*given), lambda: rig.fault_of("tip"))
+        return FaultyTip(make_tip(*given), lambda: rig.fault_of("tip"), 1.0 / rig.schedule.rate_hz)
 
     with mock.patch.object(haptic_process, "device_of", hand), mock.patch.object(afm_process, "driver_of", tip):
         yield
