@@ -45,6 +45,9 @@ LAWS = (
 )  # fmt: skip
 # Rates of the loops [Hz]: at 50 Hz the deadline of the devices has two and a half periods, at 250 Hz twelve.
 RATES_HZ = (50.0, 100.0, 100.0, 250.0)
+# A law that promises nothing, and presses beyond the limit of the instrument at less than the greatest of these rates,
+# without any fault.
+FAST_LAW = "four_channel"
 # Latest begin of a group of faults, since the start of the processes [s].
 FAULTS_S = 4.5
 # Time without faults after the last one, before a person arms; and time after that in which the rig must recover.
@@ -82,7 +85,10 @@ class Schedule(NamedTuple):
         events = _few_kills(events)
         delay_s, link_s = dice.choice([0.001, 0.005, 0.02, 0.05]), dice.choice([0.0, 0.0, 0.01])
         events.sort(key=lambda one: one["at_s"])
-        return cls(seed, _law(dice), delay_s, link_s, tuple(events), dice.choice(RATES_HZ))
+        law, rate_hz = _law(dice), dice.choice(RATES_HZ)
+        if FAST_LAW in (law, *(one.get("law") for one in events)):
+            rate_hz = max(RATES_HZ)
+        return cls(seed, law, delay_s, link_s, tuple(events), rate_hz)
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> "Schedule":

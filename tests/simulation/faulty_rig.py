@@ -224,6 +224,7 @@ class FaultyRig(SimulatedRig):
         self.ways = {name: Way(schedule.seed, name, schedule.delay_s) for name in ("forward", "backward")}
         self._machines: dict[str, MachineClock] = {}
         self._clock_event: Event = next((one for one in schedule.events if one["kind"] == "clock"), {})
+        self._sets_clocks = any(one["kind"] in ("clock", "site_restart") for one in schedule.events)
         self._doomed: dict[str, int] = {}
         self._faults: dict[str, tuple[str, float]] = {}
         self._fate: tuple[bytes, list[Any]] = (b"", [])
@@ -253,7 +254,7 @@ class FaultyRig(SimulatedRig):
 
     def clock_of(self, key: str) -> Clock:
         machine = "master" if name_of(key) == name_of(LINK) else site_of(key)
-        if machine == "master":
+        if machine == "master" or not self._sets_clocks:
             return self.clock
         if machine not in self._machines:
             given = self._clock_event
@@ -470,9 +471,7 @@ class FaultyRig(SimulatedRig):
             return
         # The readers at the slave's site get the same copies.
         self._fate = (payload, self._crossing("forward", topic, payload, sent_ns))
-        for bus in self._recorders:
-            if (way := bus.way(src, topic)) is None:
-                continue
+        for bus, way in self._recording(src, topic):
             near = bus.key != FAR_RECORDER
             for copy in self._fate[1] if not near else [None]:
                 self._order += 1
