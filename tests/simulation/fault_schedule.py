@@ -217,11 +217,16 @@ def _stop_while_away(dice: random.Random, at_s: float) -> list[Event]:
 
 
 def _answer_lost(dice: random.Random, at_s: float) -> list[Event]:
-    """Draw a stop from the master's site, and the end of the link while the stop or its answer crosses."""
+    """Draw a stop from the master's site, and the end of the link while the stop or, more often, its answer crosses.
+
+    The answer needs a long way back, and the whole way is short enough for any law to go on.
+    """
+    there_s, back_s = dice.choice([0.001, 0.01]), dice.choice([0.03, 0.045])
+    delay = {"kind": "delay", "forward_s": there_s, "backward_s": back_s}
     press = {"kind": "press", "site": "master", "target": dice.choice(["*", "afm_node"])}
-    later_s = round(at_s + dice.uniform(0.0, 0.12), 4)
-    kill = {"kind": "kill", "node": LINK, "after": dice.choice([0, 0, 2, 8]), "torn": 0.0}
-    return [{"at_s": at_s, **press}, {"at_s": later_s, **kill}]
+    later_s = round(at_s + there_s + dice.uniform(-0.01, back_s), 4)
+    kill = {"kind": "kill", "node": LINK, "after": 0, "torn": 0.0}
+    return [{"at_s": round(max(at_s - 0.1, 0.0), 3), **delay}, {"at_s": at_s, **press}, {"at_s": later_s, **kill}]
 
 
 def _law_while_cut(dice: random.Random, at_s: float) -> list[Event]:
