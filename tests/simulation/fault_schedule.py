@@ -43,6 +43,11 @@ LAWS = (
     "wave", "virtual_impedance", "position_force", "passivity", "bounded_model", "four_channel", "fractal_impedance",
     "matched_wave", "model_mediated", "smith", "tactile", "tdpa", "two_layer",
 )  # fmt: skip
+# Rates of the loops [Hz]: at 50 Hz the deadline of the devices has two and a half periods, at 250 Hz twelve.
+RATES_HZ = (50.0, 100.0, 100.0, 250.0)
+# A law that promises nothing, and presses beyond the limit of the instrument at less than the greatest of these rates,
+# without any fault.
+FAST_LAW = "four_channel"
 # Latest begin of a group of faults, since the start of the processes [s].
 FAULTS_S = 4.5
 # Time without faults after the last one, before a person arms; and time after that in which the rig must recover.
@@ -55,7 +60,8 @@ class Schedule(NamedTuple):
     """A session with its faults.
 
     seed: seed of all delays on the sites; law: the law at the start; delay_s: delay of the network in each direction
-    [s]; link_s: delay that the link adds in each direction [s]; events: the events in the order of time.
+    [s]; link_s: delay that the link adds in each direction [s]; events: the events in the order of time; rate_hz: the
+    rate of the loops [Hz].
     """
 
     seed: int
@@ -63,6 +69,7 @@ class Schedule(NamedTuple):
     delay_s: float
     link_s: float
     events: tuple[Event, ...]
+    rate_hz: float = 250.0
 
     @classmethod
     def drawn(cls, seed: int) -> "Schedule":
@@ -77,18 +84,22 @@ class Schedule(NamedTuple):
             events += _GROUPS[group][1](dice, round(dice.uniform(0.3, FAULTS_S), 3))
         events = _few_kills(events)
         delay_s, link_s = dice.choice([0.001, 0.005, 0.02, 0.05]), dice.choice([0.0, 0.0, 0.01])
-        return cls(seed, _law(dice), delay_s, link_s, tuple(sorted(events, key=lambda one: one["at_s"])))
+        events.sort(key=lambda one: one["at_s"])
+        law, rate_hz = _law(dice), dice.choice(RATES_HZ)
+        if FAST_LAW in (law, *(one.get("law") for one in events)):
+            rate_hz = max(RATES_HZ)
+        return cls(seed, law, delay_s, link_s, tuple(events), rate_hz)
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> "Schedule":
         """Return a schedule from its document; raise ValueError if that is invalid."""
-        if missing := set(cls._fields) - set(document):
+        if missing := set(cls._fields) - set(cls._field_defaults) - set(document):
             raise ValueError(f"the schedule has no {', '.join(sorted(missing))}")
         events = tuple(document["events"])
         for event in events:
             if event.get("kind") not in KINDS or "at_s" not in event:
                 raise ValueError(f"{event}: an event has `at_s` and a `kind` of {', '.join(sorted(KINDS))}")
-        return cls(**{name: document[name] for name in cls._fields if name != "events"}, events=events)
+        return cls(**{name: value for name, value in document.items() if name in cls._fields} | {"events": events})
 
     def text(self) -> str:
         """Return the schedule as JSON."""
@@ -206,11 +217,16 @@ def _stop_while_away(dice: random.Random, at_s: float) -> list[Event]:
 
 
 def _answer_lost(dice: random.Random, at_s: float) -> list[Event]:
-    """Draw a stop from the master's site, and the end of the link while the stop or its answer crosses."""
+    """Draw a stop from the master's site, and the end of the link while the stop or, more often, its answer crosses.
+
+    The answer needs a long way back, and the whole way is short enough for any law to go on.
+    """
+    there_s, back_s = dice.choice([0.001, 0.01]), dice.choice([0.03, 0.045])
+    delay = {"kind": "delay", "forward_s": there_s, "backward_s": back_s}
     press = {"kind": "press", "site": "master", "target": dice.choice(["*", "afm_node"])}
-    later_s = round(at_s + dice.uniform(0.0, 0.12), 4)
-    kill = {"kind": "kill", "node": LINK, "after": dice.choice([0, 0, 2, 8]), "torn": 0.0}
-    return [{"at_s": at_s, **press}, {"at_s": later_s, **kill}]
+    later_s = round(at_s + there_s + dice.uniform(-0.01, back_s), 4)
+    kill = {"kind": "kill", "node": LINK, "after": 0, "torn": 0.0}
+    return [{"at_s": round(max(at_s - 0.1, 0.0), 3), **delay}, {"at_s": at_s, **press}, {"at_s": later_s, **kill}]
 
 
 def _law_while_cut(dice: random.Random, at_s: float) -> list[Event]:

@@ -137,6 +137,15 @@ def test_every_invariant_has_a_planted_fault() -> None:
     assert {name for fault in PLANTED.values() for name in fault.breaks} == set(INVARIANTS)
 
 
+@pytest.mark.check("takes 5 s")
+def test_a_force_profile_that_is_started_again_is_judged_at_its_own_time() -> None:
+    events: Sequence[Event] = [
+        {"at_s": 0.776, "kind": "partition", "direction": "forward", "for_s": 0.3},
+        {"at_s": 3.0, "kind": "stop"},
+    ]
+    assert unexpected(tried(Schedule(1, "wave", 0.02, 0.0, tuple(events)))) == []
+
+
 @pytest.mark.endurance
 @pytest.mark.parametrize("situation", MADE)
 def test_a_situation_that_is_made_is_seen_in_the_recordings(situation: str, monkeypatch: pytest.MonkeyPatch) -> None:
