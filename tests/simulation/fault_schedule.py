@@ -257,10 +257,14 @@ def _law_while_cut(dice: random.Random, at_s: float) -> list[Event]:
 
 
 def _half_of_another_law(dice: random.Random, at_s: float) -> list[Event]:
-    """Draw a change of the law, and then the end of one half, whose new process has the law of the scenario."""
+    """Draw a change of the law, and then the end of one half, whose new process has the law of the scenario.
+
+    Whether the rig goes on is judged for any law only where the way is short.
+    """
+    short = _short_delay(dice, max(round(at_s - 0.1, 3), 0.0))
     kill = {"kind": "kill", "node": dice.choice(HALVES), "after": 0, "torn": 0.0}
     later_s = round(at_s + dice.uniform(0.2, 0.8), 3)
-    return [{"at_s": at_s, "kind": "law", "law": dice.choice(LAWS)}, {"at_s": later_s, **kill}]
+    return [*short, {"at_s": at_s, "kind": "law", "law": dice.choice(LAWS)}, {"at_s": later_s, **kill}]
 
 
 def _press(dice: random.Random, at_s: float) -> Event:
