@@ -12,7 +12,7 @@ import campaign
 import faulty_rig
 import pytest
 from campaign import INVARIANTS, Tried, tried
-from fault_schedule import KINDS, LINK, TIP, Event, Schedule
+from fault_schedule import KINDS, LINK, RATES_HZ, TIP, Event, Schedule
 from planted import PLANTED
 from reached import SITUATIONS
 from shrunk import MOST_EVENTS, shrunk
@@ -59,6 +59,7 @@ def test_a_schedule_is_data_that_comes_from_its_seed() -> None:
     assert [Schedule.of(json.loads(one.text())) for one in drawn] == drawn
     assert [Schedule.drawn(seed) for seed in range(300)] == drawn
     assert {event["kind"] for one in drawn for event in one.events} == KINDS
+    assert {one.rate_hz for one in drawn} == set(RATES_HZ)
 
 
 @pytest.mark.parametrize("document", [{}, {"seed": 1, "law": "wave", "delay_s": 0.0, "link_s": 0.0, "events": [{}]}])
