@@ -91,8 +91,13 @@ class Schedule(NamedTuple):
         delay_s, link_s = dice.choice([0.001, 0.005, 0.02, 0.05]), dice.choice([0.0, 0.0, 0.01])
         events.sort(key=lambda one: one["at_s"])
         law, rate_hz = "wave" if is_calm else _law(dice), dice.choice(RATES_HZ)
-        if FAST_LAW in (law, *(one.get("law") for one in events)):
+        laws = {law, *(one["law"] for one in events if one["kind"] == "law")}
+        if FAST_LAW in laws:
             rate_hz = max(RATES_HZ)
+        if laws != {"wave"}:
+            # Over a long way only wave variables promise to go on, so that nothing could be judged at the end.
+            ends_s = round(max(one["at_s"] + one.get("for_s", 0.0) for one in events), 4)
+            events.append({"at_s": ends_s, "kind": "delay", "forward_s": 0.01, "backward_s": 0.01})
         return cls(seed, law, delay_s, link_s, tuple(events), rate_hz)
 
     @classmethod
