@@ -305,7 +305,7 @@ _GROUPS: dict[str, tuple[float, Callable[[random.Random, float], list[Event]]]] 
     "stop while away": (1.0, _stop_while_away),
     "law while cut": (0.4, _law_while_cut),
     "answer lost": (0.4, _answer_lost),
-    "half of another law": (0.4, _half_of_another_law),
+    "half of another law": (0.8, _half_of_another_law),
 }
 KINDS = frozenset(
     {
