@@ -120,7 +120,7 @@ def test_a_half_that_comes_back_takes_over_the_law_that_was_changed(half: str, i
     rig.run_until(KILLED_S + 0.4)
     if is_late:
         rig.command("set", *(other for other in HALVES if other != half), law="wave")
-    rig.run_until(KILLED_S + 1.2)
+    rig.run_until(KILLED_S + 1.7)
     if half == "controller@master":
         rig.command("arm", "afm_node@slave", place="hand")
     rig.run_until(ENDS_S)
