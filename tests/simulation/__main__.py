@@ -10,6 +10,7 @@ sent and recorded. `--planted` plants one fault after the other, and prints the 
 """
 
 import argparse
+import contextlib
 import hashlib
 import json
 import statistics
@@ -68,14 +69,17 @@ def _replay(path: Path, keep: Path | None) -> int:
 
 def _campaign(seed: int, hours: float, out: Path) -> int:
     failures: list[campaign.Tried] = []
+    tally = campaign.Tally([])
 
     def observe(one: campaign.Tried) -> None:
+        tally.schedules.append(one)
         if one.breaks:
             failures.append(one)
             for found in one.breaks:
                 print(f"seed {one.schedule.seed}: {found.invariant} at {found.at_s:.3f} s: {found.text}", flush=True)
 
-    tally = campaign.campaign(seed, hours, observe)
+    with contextlib.suppress(KeyboardInterrupt):
+        campaign.campaign(seed, hours, observe)
     print(f"\n{campaign.speed(tally)}\n")
     _print_table("invariant", campaign.INVARIANTS, tally, tally.broken(), "broken in")
     _print_table("situation", tuple(SITUATIONS), tally, tally.reached(), "reached in")

@@ -12,7 +12,7 @@ import campaign
 import faulty_rig
 import pytest
 from campaign import INVARIANTS, Tried, tried
-from fault_schedule import KINDS, LINK, TIP, Event, Schedule
+from fault_schedule import KINDS, LINK, RATES_HZ, TIP, Event, Schedule
 from planted import PLANTED
 from reached import SITUATIONS
 from shrunk import MOST_EVENTS, shrunk
@@ -59,6 +59,7 @@ def test_a_schedule_is_data_that_comes_from_its_seed() -> None:
     assert [Schedule.of(json.loads(one.text())) for one in drawn] == drawn
     assert [Schedule.drawn(seed) for seed in range(300)] == drawn
     assert {event["kind"] for one in drawn for event in one.events} == KINDS
+    assert {one.rate_hz for one in drawn} == set(RATES_HZ)
 
 
 @pytest.mark.parametrize("document", [{}, {"seed": 1, "law": "wave", "delay_s": 0.0, "link_s": 0.0, "events": [{}]}])
@@ -137,13 +138,25 @@ def test_every_invariant_has_a_planted_fault() -> None:
     assert {name for fault in PLANTED.values() for name in fault.breaks} == set(INVARIANTS)
 
 
-@pytest.mark.check("takes 5 s")
-def test_a_force_profile_that_is_started_again_is_judged_at_its_own_time() -> None:
-    events: Sequence[Event] = [
+# What was mended after a schedule had shown it, each with the events that are needed.
+MENDED: dict[str, tuple[Event, ...]] = {
+    "a force profile that is started again is judged at its own time": (
         {"at_s": 0.776, "kind": "partition", "direction": "forward", "for_s": 0.3},
         {"at_s": 3.0, "kind": "stop"},
-    ]
-    assert unexpected(tried(Schedule(1, "wave", 0.02, 0.0, tuple(events)))) == []
+    ),
+    "a half that was started again takes over a law of which the other half hears only later": (
+        {"at_s": 0.0, "kind": "clock", "ahead_s": -3600.0, "drift_ppm": 0},
+        {"at_s": 1.99, "kind": "stall", "node": LINK, "for_s": 1.0},
+        {"at_s": 2.0, "kind": "law", "law": "virtual_impedance"},
+        {"at_s": 2.3, "kind": "kill", "node": "controller@master", "after": 0, "torn": 0.0},
+    ),
+}
+
+
+@pytest.mark.check("takes 2 s each")
+@pytest.mark.parametrize("mended", MENDED)
+def test_what_was_mended_breaks_no_invariant(mended: str) -> None:
+    assert unexpected(tried(Schedule(1, "wave", 0.005, 0.0, MENDED[mended], 50.0))) == []
 
 
 @pytest.mark.endurance
