@@ -155,7 +155,7 @@ BEFORE: Mapping[str, Sequence[str]] = {
 }
 # Of a recording that is not larger the messages are compared, and not only how many there are.
 SMALL_BYTES = 100_000
-# Commands that take minutes for each value, left to `make endurance` unless they are touched.
+# Commands that take minutes for all of their values, left to `make endurance`.
 COSTLY = (
     *("assemble", "benchmark", "study drift", "study gallery", "study push", "study stability", "study promises"),
     "study advise",
