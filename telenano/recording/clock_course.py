@@ -152,7 +152,9 @@ def _sought(part: Stretch, after: Stretch, read: Read) -> tuple[int, int]:
         if is_first:
             begin_ns = last_ns = at_ns
         else:
-            end_ns, first_ns = middle_ns, at_ns
+            # Only the bounds that count are kept, so others may lie between the middle and this one.
+            first_ns = at_ns
+            end_ns = at_ns if at_ns < end_ns else middle_ns
     return last_ns, first_ns
 
 
