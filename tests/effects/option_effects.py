@@ -157,9 +157,9 @@ BEFORE: Mapping[str, Sequence[str]] = {
 SMALL_BYTES = 100_000
 # Commands that take minutes for all of their values, left to `make endurance`.
 COSTLY = (
-    *("assemble", "benchmark", "study drift", "study gallery", "study push", "study stability", "study promises"),
-    "study advise",
-)
+    "assemble", "benchmark", "study advise", "study drift", "study gallery", "study promises", "study push",
+    "study stability",
+)  # fmt: skip
 # Commands that take three to six seconds for each value: not drawn for `make check`, but tried where they are touched.
 SLOW = ("compare", "device accept", "link picture", "report", "reproduce", "scan", "simulate", "study transparency")
 # Commands that are not tried, each with the reason.

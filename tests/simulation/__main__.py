@@ -68,18 +68,13 @@ def _replay(path: Path, keep: Path | None) -> int:
 
 
 def _campaign(seed: int, hours: float, out: Path) -> int:
-    failures: list[campaign.Tried] = []
     tally = campaign.Tally([])
-
-    def observe(one: campaign.Tried) -> None:
-        tally.schedules.append(one)
-        if one.breaks:
-            failures.append(one)
+    with contextlib.suppress(KeyboardInterrupt):
+        for one in campaign.campaign(seed, hours):
+            tally.schedules.append(one)
             for found in one.breaks:
                 print(f"seed {one.schedule.seed}: {found.invariant} at {found.at_s:.3f} s: {found.text}", flush=True)
-
-    with contextlib.suppress(KeyboardInterrupt):
-        campaign.campaign(seed, hours, observe)
+    failures = [one for one in tally.schedules if one.breaks]
     print(f"\n{campaign.speed(tally)}\n")
     _print_table("invariant", campaign.INVARIANTS, tally, tally.broken(), "broken in")
     _print_table("situation", tuple(SITUATIONS), tally, tally.reached(), "reached in")

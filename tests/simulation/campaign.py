@@ -4,12 +4,14 @@ result = tried(Schedule.drawn(7))
 result.breaks
 """
 
+import itertools
 import json
+import math
 import shutil
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -137,18 +139,17 @@ class Tally(NamedTuple):
 def campaign(
     first_seed: int,
     hours: float,
-    observe: Callable[[Tried], None] = lambda one: None,
     *,
-    processor_s: float | None = None,
-) -> Tally:
-    """Run the schedules of successive seeds until a number of simulated hours, or a processor time [s] if given."""
-    tally, begun_s, seed = Tally([]), time.process_time(), first_seed
-    while tally.simulated_h < hours and (processor_s is None or time.process_time() - begun_s < processor_s):
+    processor_s: float = math.inf,
+) -> Iterator[Tried]:
+    """Yield the results of successive seeds until a number of simulated hours, or a processor time [s] if given."""
+    simulated_s, begun_s = 0.0, time.process_time()
+    for seed in itertools.count(first_seed):
+        if simulated_s >= 3600.0 * hours or time.process_time() - begun_s >= processor_s:
+            return
         one = tried(Schedule.drawn(seed), reports=seed % REPORTED_EACH == 0)
-        tally.schedules.append(one)
-        observe(one)
-        seed += 1
-    return tally
+        simulated_s += one.simulated_s
+        yield one
 
 
 def speed(tally: Tally) -> str:

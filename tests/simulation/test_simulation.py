@@ -92,7 +92,7 @@ def test_the_judge_imports_nothing_of_the_project() -> None:
 @pytest.mark.check("takes 20 s, by the day")
 @pytest.mark.timeout(300)
 def test_the_schedules_of_the_day_break_no_invariant(capsys: pytest.CaptureFixture[str]) -> None:
-    tally = campaign.campaign(SEED_OF_THE_DAY, 1.0, processor_s=15.0)
+    tally = campaign.Tally(list(campaign.campaign(SEED_OF_THE_DAY, 1.0, processor_s=15.0)))
     with capsys.disabled():
         sys.stdout.write(f"\nseed of the day: {SEED_OF_THE_DAY}; {campaign.speed(tally)}; {dict(tally.broken())}\n")
     assert [text for one in tally.schedules for text in unexpected(one)] == []
@@ -171,6 +171,7 @@ def test_a_situation_that_is_made_is_seen_in_the_recordings(situation: str, monk
 @pytest.mark.endurance
 @pytest.mark.timeout(4 * 3600)
 def test_hours_of_schedules_break_no_invariant_and_reach_every_situation() -> None:
-    tally = campaign.campaign(SEED_OF_THE_DAY + 500, float(os.environ.get("SIMULATED_HOURS", "1.0")))
+    hours = float(os.environ.get("SIMULATED_HOURS", "1.0"))
+    tally = campaign.Tally(list(campaign.campaign(SEED_OF_THE_DAY + 500, hours)))
     assert [text for one in tally.schedules for text in unexpected(one)] == []
     assert {name for name in SITUATIONS if not tally.reached()[name]} == set()

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from browser_page import Page, View, keep, needs_browser, until
+from browser_page import PATIENCE_S, Page, View, keep, needs_browser
 from telenano_lab.experiments.bus import ExperimentBus
 from telenano_lab.experiments.extend import choice
 from telenano_lab.experiments.tasks import TASKS
@@ -17,6 +17,7 @@ from telenano.settings import DEFAULT_SITE_FILE
 pytestmark = [pytest.mark.browser, needs_browser]
 
 SIZES = (("laptop", 1366, 768), ("tablet", 820, 1100), ("phone", 390, 844), ("low", 844, 390))
+STAGE = "document.body.dataset.stage"
 SHOWN = """(id) => {
   const box = document.getElementById(id).getBoundingClientRect();
   const at = document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2);
@@ -38,10 +39,8 @@ def test_a_trial_shows_hand_answer_and_stop_in_every_window(chromium: Any, monke
             cue = bus.cue(
                 "trial", task.title, course=task.target(p, 0), band=task.band(p), remaining_s=600.0, questions=question
             )
-            until(
-                lambda: bus.wait(cue, 0.6) or page.value("document.body.dataset.stage") == "trial",
-                "a trial on the page",
-            )
+            bus.wait(cue, PATIENCE_S, lambda answers: page.value(STAGE) == "trial")
+            assert page.value(STAGE) == "trial"
             for name, width, height in SIZES:
                 page.page.set_viewport_size({"width": width, "height": height})
                 assert [each for each in NEEDED if not page.page.evaluate(SHOWN, each)] == [], name

@@ -15,9 +15,9 @@ from telenano.testing import invoke
 
 # A change of these has every cell run that is tried here.
 CHANGES_CELLS = (
-    *("telenano/analysis/", "telenano/laws/", "telenano/lockstep/", "telenano/numerics/"),
-    *("packages/telenano-lab/telenano_lab/studies/", "packages/telenano-laws/telenano_laws/"),
-)
+    "telenano/analysis/", "telenano/laws/", "telenano/lockstep/", "telenano/numerics/",
+    "packages/telenano-lab/telenano_lab/studies/", "packages/telenano-laws/telenano_laws/",
+)  # fmt: skip
 
 
 def cell(law: str, stiffness: float, instrument: str = "ideal", delay_ms: float = 0.0, **more: Any) -> FeltCell:
