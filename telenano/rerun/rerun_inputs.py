@@ -3,6 +3,9 @@
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple, cast
 
+import numpy as np
+import numpy.typing as npt
+
 from telenano.analysis.forwarded import ForwardedMessage
 from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.recording.reader import Recording
@@ -12,6 +15,7 @@ from telenano.wire.journal_messages import NodeJournal
 from telenano.wire.nodes import LINK, endpoints_of, name_of, site_of
 from telenano.wire.topics import output_name
 
+Integers = npt.NDArray[np.int64]
 JOURNAL = "node/journal"
 # Topics that are not compared, because the loop around the node also publishes on them, with the same numbering.
 NOT_COMPARED = (JOURNAL, "node/health", "session/event", "link/key", "link/network")
@@ -37,6 +41,7 @@ class RecordedNode:
         # The forwarded messages by endpoint.
         self.forwarded: dict[str, list[ForwardedMessage]] = {}
         self._inputs: dict[tuple[str, str, int], list[RecordedMessage]] = {}
+        self._repeated_ns = _repeated_ns(batches)
         # Times at which the recorder first and last received from a topic and source [ns].
         self._first_received_ns: dict[tuple[str, str], int] = {}
         self._last_received_ns: dict[tuple[str, str], int] = {}
@@ -83,12 +88,17 @@ class RecordedNode:
     def input(self, turn: Turn) -> RecordedMessage | None:
         """Return the message of a turn, None if it is not recorded.
 
-        Of several with the same number, from before and after a restart, it is the nearest in time.
+        Of several with the same number, from before and after a restart, it is the nearest in time, unless that is
+        nearer to another turn: each console begins with number 0, and the recorder may not have heard all of them.
         """
-        inputs = self._inputs.get((turn.topic, turn.src, turn.seq), ())
-        if len(inputs) == 1:
-            return inputs[0]
-        return min(inputs, key=lambda message: abs(message.log_ns - turn.time_ns), default=None)
+        key = (turn.topic, turn.src, turn.seq)
+        inputs = self._inputs.get(key, ())
+        nearest = min(inputs, key=lambda message: abs(message.log_ns - turn.time_ns), default=None)
+        if nearest is None:
+            return None
+        apart_ns = abs(nearest.log_ns - turn.time_ns)
+        is_of_another = any(abs(nearest.log_ns - time_ns) < apart_ns for time_ns in self._repeated_ns.get(key, ()))
+        return None if is_of_another else nearest
 
     def payload(self, topic: str, src: str, seq: int, arrived_ns: int, size_bytes: int) -> bytes:
         """Return the bytes of an input; `size_bytes` zeros if it is not in the recording."""
@@ -119,6 +129,23 @@ class RecordedNode:
 
     def _missing(self, batch: NodeJournal) -> Iterator[Turn]:
         return (turn for turn in turns_of(batch) if turn.src and self.input(turn) is None)
+
+
+def _repeated_ns(batches: Sequence[NodeJournal]) -> dict[tuple[str, str, int], list[int]]:
+    """Return the times [ns] of the turns whose message has a number that its source used more than once."""
+    of_source: dict[tuple[str, str], list[tuple[Integers, Integers]]] = {}
+    for batch in batches:
+        places, numbers, times_ns = (column.to_numpy() for column in (batch.input, batch.number, batch.time_ns))
+        for place, source in enumerate(batch.inputs):
+            own = places == place
+            of_source.setdefault((source.topic, source.src), []).append((numbers[own], times_ns[own]))
+    found: dict[tuple[str, str, int], list[int]] = {}
+    for (topic, src), parts in of_source.items():
+        numbers, times_ns = (np.concatenate(column) for column in zip(*parts, strict=True))
+        values, counts = np.unique(numbers, return_counts=True)
+        for seq in values[counts > 1].tolist():
+            found[topic, src, seq] = times_ns[numbers == seq].tolist()
+    return found
 
 
 def start_ns(batch: NodeJournal) -> int:
