@@ -6,6 +6,7 @@ after a long cut.
 """
 
 import random
+from bisect import bisect_left
 from typing import Any, NamedTuple
 
 # Length of a cut after which the connection of a stream is given up, and its waiting messages are lost [s].
@@ -14,6 +15,9 @@ STREAM_S = 5.0
 AGAIN_S = 0.2
 # Capacity of the queue in front of a narrow line [s].
 QUEUE_S = 1.0
+# A queue stands if, for this time, its least wait rises by no more than `SAME_S` from one half to the other [s].
+STOOD_S = 0.04
+SAME_S = 0.0035
 WAYS = ("forward", "backward")
 
 
@@ -35,6 +39,8 @@ class Way:
         self._line_until_s = self._cut_until_s = self._narrow_until_s = self._free_s = -1.0
         self._cut_since_s = 0.0
         self._bytes_per_s = 0.0
+        # Times at which messages were sent over the narrow line, and their waits [s].
+        self._waits: list[tuple[float, float]] = []
 
     def spoil(self, event: dict[str, Any], now_s: float) -> None:
         """Lose, double, delay or damage datagrams for a time, as the event says."""
@@ -50,6 +56,19 @@ class Way:
         """Limit the rate [bytes/s] for a time [s]."""
         self._bytes_per_s, self._narrow_until_s, self._free_s = bytes_per_s, now_s + for_s, now_s
 
+    def stood(self) -> list[tuple[float, float]]:
+        """Return the waits of queues that stood: did not grow for `STOOD_S`, with the end of that time [s].
+
+        Nobody can tell such a queue from a longer line by the times of the messages.
+        """
+        waits, stood = self._waits, []
+        for begin, (at_s, _) in enumerate(waits):
+            middle, end = (bisect_left(waits, (at_s + part * STOOD_S,)) for part in (0.5, 1.0))
+            first, then = ([wait_s for _, wait_s in part] for part in (waits[begin:middle], waits[middle:end]))
+            if then and min(then) <= min(first) + SAME_S:
+                stood.append((at_s + STOOD_S, min(first + then)))
+        return stood
+
     def arrivals(self, now_s: float, size_bytes: int, *, is_stream: bool) -> list[Arrival]:
         """Return the copies of a message that arrive; empty if it is lost."""
         after_s = self.delay_s
@@ -60,6 +79,7 @@ class Way:
                 self._free_s -= size_bytes / self._bytes_per_s
                 if not is_stream:
                     return []
+            self._waits.append((now_s, self._free_s - now_s))
         if now_s < self._cut_until_s:
             if not is_stream or self._cut_until_s - self._cut_since_s > STREAM_S:
                 return []

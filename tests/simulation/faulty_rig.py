@@ -545,6 +545,7 @@ def run(schedule: Schedule, folder: Path) -> Outcome:
         "restarts": outcome.restarts,
         "kept": kept,
         "acts": rig.history,
+        "stood": {name: way.stood() for name, way in rig.ways.items()},
     }
     (folder / "history.json").write_text(json.dumps(history), encoding="utf-8")
     (folder / "ledger.msgpack").write_bytes(msgpack.packb(rig.ledger))

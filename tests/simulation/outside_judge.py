@@ -27,8 +27,7 @@ from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from zstandard import ZstdError
 
 HAND, TIP, LINK = "haptic_node@master", "afm_node@slave", "delay_node@master"
-# Validity of a command; time for which a tip without one is held before it is withdrawn; tolerance besides two periods
-# of the loop, for a turn that is 3 ms late and the ways on a site [s].
+# Validity of a command; hold of a tip without one, before it is withdrawn; tolerance for late turns and site ways [s].
 DEADLINE_S, HOLD_S, LATE_S = 0.05, 0.2, 0.0035
 # Time, in addition to the round trip, within which a tip stops following after the hand last felt an answer [s].
 UNFELT_S = 0.5
@@ -117,17 +116,18 @@ class Session:
     def events(self, *kinds: str) -> list[Fields]:
         return [event for event in self.happened if event["kind"] in kinds]
 
-    def transit_s(self, way: str, at_s: float) -> float:
-        steps = [(0.0, self.schedule["delay_s"]), *((one["at_s"], one[f"{way}_s"]) for one in self.events("delay"))]
+    def way_s(self, way: str, at_s: float) -> float:
+        """Return the longest delay that the link may know: its own, the line's, and that of a queue that stood [s]."""
+        steps = [(e["at_s"], e[f"{way}_s"]) for e in self.events("delay") if e["at_s"] <= at_s]
         # Delays that the link may consider as present: all since the newest one that it must know by now.
-        known = max(number for number, (begun, _) in enumerate(steps) if number == 0 or begun <= at_s - KNOWN_S)
-        return float(max(delay for begun, delay in steps[known:] if begun <= at_s))
-
-    def link_s(self, at_s: float) -> float:
-        return float(max([self.schedule["link_s"], *(e["delay_s"] for e in self.events("link") if e["at_s"] <= at_s)]))
+        known = sum(begun <= at_s - KNOWN_S for begun, _ in steps)
+        line_s = [delay_s for _, delay_s in [(0.0, self.schedule["delay_s"]), *steps][known:]]
+        own_s = [self.schedule["link_s"], *(e["delay_s"] for e in self.events("link") if e["at_s"] <= at_s)]
+        queues_s = [wait_s for stood_s, wait_s in self.history["stood"][way] if at_s - KNOWN_S <= stood_s <= at_s]
+        return float(max(line_s) + max(own_s) + max(queues_s, default=0.0))
 
     def trip_s(self, at_s: float) -> float:
-        return 2 * self.link_s(at_s) + self.transit_s("forward", at_s) + self.transit_s("backward", at_s)
+        return sum(self.way_s(way, at_s) for way in ("forward", "backward"))
 
     def missing(self, src: str, topic: str) -> list[float]:
         have = {(one.fields["seq"], one.fields["t_ns"]) for one in self.direct[src, topic]}
@@ -177,7 +177,7 @@ def judge_tip(session: Session) -> Iterator[Break]:
         if state.fields.get("device") == before.fields.get("device") == "lost":
             yield Break("safe_in_time", at_s, "the tip follows although the instrument is lost")
         hand_s = (newest.fields["hand_t_ns"] - session.epoch_ns) * 1e-9
-        allowed_s = DEADLINE_S + session.grain_s + session.link_s(at_s) + session.transit_s("forward", at_s)
+        allowed_s = DEADLINE_S + session.grain_s + session.way_s("forward", at_s)
         if at_s - hand_s > allowed_s:
             name = "nothing_late" if state.depth_m - before.depth_m > 1e-12 else "safe_in_time"
             text = f"a sample of {1e3 * (at_s - hand_s):.0f} ms, of {1e3 * allowed_s:.0f} allowed"
