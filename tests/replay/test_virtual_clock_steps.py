@@ -1,18 +1,30 @@
 """The wall clock of a machine is set by an hour or a second in mid-session: no node notices, because none asks it."""
 
+import math
 import re
 import time
-from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
-from test_virtual_stalls import Session
 
-from telenano.virtual import VirtualRig
+from telenano.virtual import Timing, VirtualRig
 from telenano.wire.codec import fields_of
 
 ROOT = Path(__file__).parents[2]
 HOUR_S = 3600.0
+# 5.5 mm +- 3.5 mm once a second, as a person strokes a surface
+SWING = [{"time_s": 0.05 * n, "position_m": 5.5e-3 - 3.5e-3 * math.cos(0.1 * math.pi * n)} for n in range(40)]
+SCENARIO = {
+    "name": "virtual",
+    "description": "A hand swings while it presses the tip",
+    "duration_s": 60.0,
+    "haptic_node": {"operator": {"kind": "impedance", "path": SWING}},
+    "afm_node": {"rest_distance_m": 10e-9},
+    "delay_node": {way: {"delay_s": 0.005} for way in ("forward", "backward")},
+}
+# nothing late and nothing random, and the link a node of its own
+TIMING = Timing((0, 1), (100_000, 100_001), None, (10_000, 10_001), (0, 1), (1_000, 1_001), stall_share=0.0)
 WALL_CLOCK = re.compile(r"\btime\.time(_ns)?\(|\bdatetime\.(now|today|utcnow)\(|\btime\.(local|gm)time\(\)")
 # where a running process of the rig may ask the wall clock, and what it does with the answer
 MAY_ASK = {
@@ -28,30 +40,33 @@ MAY_ASK = {
 }
 
 
-@pytest.fixture
-def rigs() -> Iterator[list[VirtualRig]]:
-    made: list[VirtualRig] = []
-    yield made
-    for rig in made:
+def tips_of(rig: VirtualRig, step_s: float, patch: pytest.MonkeyPatch) -> list[Any]:
+    """Let the tip follow a hand, set the wall clock by a step [s], and return the states of the tip."""
+    try:
+        rig.run_until(0.15)
+        rig.command("arm", "*", place="hand")
+        rig.run_until(0.3)
+        rig.command("start", "haptic_node@master")
+        rig.run_until(0.6)
+        if step_s:
+            then_s = time.time() + step_s
+            patch.setattr(time, "time", lambda: then_s)
+            patch.setattr(time, "time_ns", lambda: round(then_s * 1e9))
+        rig.run_until(1.1)
+        return list(rig.received("afm/state", "afm_node@slave"))
+    finally:
         rig.close()
 
 
 @pytest.mark.check("takes 2.7 s")
 @pytest.mark.parametrize("step_s", [HOUR_S, -HOUR_S, 1.0, -1.0])
 def test_a_step_of_the_wall_clock_changes_no_message_of_a_session(
-    step_s: float, rigs: list[VirtualRig], monkeypatch: pytest.MonkeyPatch
+    step_s: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     sent = []
-    for steps in (False, True):
-        session = Session("virtual_impedance", 5.0)
-        rigs.append(session.rig)
+    for step in (0.0, step_s):
         with monkeypatch.context() as patch:
-            if steps:
-                then_s = time.time() + step_s
-                patch.setattr(time, "time", lambda then_s=then_s: then_s)
-                patch.setattr(time, "time_ns", lambda then_s=then_s: round(then_s * 1e9))
-            session.run(0.5)
-        tips = session.tips()
+            tips = tips_of(VirtualRig(None, 1, (), TIMING, SCENARIO), step, patch)
         assert tips[-1].mode == "follow"
         sent.append([fields_of(tip) for tip in tips])
     assert sent[0] == sent[1]

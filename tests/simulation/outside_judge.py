@@ -176,7 +176,8 @@ def judge_tip(session: Session) -> Iterator[Break]:
             continue
         if state.fields.get("device") == before.fields.get("device") == "lost":
             yield Break("safe_in_time", at_s, "the tip follows although the instrument is lost")
-        hand_s = (newest.fields["hand_t_ns"] - session.epoch_ns) * 1e-9
+        # After a stall, a device could obey what waits for it one by one, while there is a newer command.
+        hand_s = (min(one.fields["hand_t_ns"] for one in (newest, state)) - session.epoch_ns) * 1e-9
         allowed_s = DEADLINE_S + session.grain_s + session.way_s("forward", at_s)
         if at_s - hand_s > allowed_s:
             name = "nothing_late" if state.depth_m - before.depth_m > 1e-12 else "safe_in_time"

@@ -2,7 +2,7 @@
 
 The recording is the witness. Of each state of a device it has the command in force and the hand's sample behind it; of
 the link it has the delay of each message. All of it is endurance: the same in virtual time, and without the doubt
-whether the machine was busy, is in `tests/replay/test_virtual_stalls.py`.
+whether the machine was busy, is drawn by `tests/simulation`.
 """
 
 import contextlib
