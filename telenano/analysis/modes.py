@@ -159,9 +159,9 @@ def fitted(values: Series, period_s: float, floor_n: float) -> Fit:
             if 0.0 < turn < _REAL_TURN:
                 # Less than half a swing is mostly an exponential, which has two unknowns less.
                 real = _refined(times, bare, [*more.poles[:place], (growth, 0.0), *more.poles[place + 1 :]])
-                level = max(line_level(more.left, turn), floor**2, more.mean)
+                level = max(line_level(more.left, turn, not state.poles), floor**2, more.mean)
                 more = real if real.power - more.power < 2.0 * LINE_OVER_NOISE * level else more
-        level = max(line_level(more.left, more.poles[-1][1]), floor**2)
+        level = max(line_level(more.left, more.poles[-1][1], not state.poles), floor**2)
         if state.power - more.power < 2.0 * LINE_OVER_NOISE * level or state.rms <= floor:
             whole = True
             break
@@ -170,14 +170,15 @@ def fitted(values: Series, period_s: float, floor_n: float) -> Fit:
     return Fit(_modes(times, bare, state, length_s, scale), rest_n, scale * state.left, motion, noise, whole)
 
 
-def line_level(left: Series, turn: float) -> float:
+def line_level(left: Series, turn: float, alone: bool) -> float:
     """Return the power by which a line at a turn [rad in the stretch] is measured; for white noise, its variance.
 
-    It is the largest power that the octave about the turn or one above it has, because noise has no less at a low
-    frequency than at a higher one, and an octave of few bins has less by chance.
+    An octave of few bins has little power by chance, but noise has no less at a low frequency than at a higher one. So
+    the level is no less than the median of all bins, and for a line that is alone than that of an octave above. Beside
+    other modes, an octave above may have the power of their motion.
     """
     medians = _medians(left, turn)
-    return _at_turn(max(medians), medians[-1], turn)
+    return _at_turn(max(medians) if alone else max(medians[0], medians[-1]), medians[-1], turn)
 
 
 def _level(left: Series, turn: float) -> float:

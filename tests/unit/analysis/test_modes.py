@@ -41,7 +41,7 @@ def test_a_line_is_found_that_is_twice_as_large_as_noise_makes_it(make: object, 
     missed = []
     for seed in range(4000, 4000 + DRAWS // 2):
         noise, turns = make(seed, count), 5.3  # type: ignore[operator]
-        level = line_level(noise, 2.0 * math.pi * turns)
+        level = line_level(noise, 2.0 * math.pi * turns, True)
         size = 2.0 * 2.0 * math.sqrt(2.0 * LINE_OVER_NOISE * level / count) / math.sqrt(2.0)
         swing = size * np.cos(2.0 * np.pi * turns * np.arange(count) / (count - 1.0))
         modes = fitted(noise + swing, 1.0 / count, 1e-9).modes
@@ -54,7 +54,7 @@ def test_a_line_is_found_that_is_twice_as_large_as_noise_makes_it(make: object, 
 def test_the_level_of_a_line_is_the_power_of_white_noise_or_a_little_more(count: int) -> None:
     levels = np.array(
         [
-            [line_level(white(seed, count), 2.0 * math.pi * turns) for turns in (2.0, 5.0, 0.3 * count)]
+            [line_level(white(seed, count), 2.0 * math.pi * turns, True) for turns in (2.0, 5.0, 0.3 * count)]
             for seed in range(200)
         ]
     )
