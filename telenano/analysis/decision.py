@@ -55,7 +55,6 @@ def decide(motion: Motion) -> Finding:
     | the modes                                      | the envelope                                    | counts        |
     |---|---|---|
     | decide                                         | is not looked at                                | what they say |
-    | are in doubt, leave noise alone, and may fall  | goes on                                         | the doubt     |
     | are in doubt, and their fit may be wrong       | moves or dies out, and is mostly of that motion | the envelope  |
     | are in doubt otherwise                         | is anything                                     | the doubt     |
     | explain nothing, and the largest seems to fall | goes on                                         | a doubt       |
@@ -94,7 +93,7 @@ def _hidden_in(envelope: Finding, parts: list[Window], motion: Motion) -> Findin
 def _settles(envelope: Finding, doubt: "Doubt") -> bool:
     """Return whether an envelope decides what is in doubt: it moves or dies out, and is mostly of that motion."""
     growth, error = doubt.found.growth_per_s or 0.0, SURE_ERRORS * doubt.found.error_per_s
-    is_cycle = envelope.kind == "limit_cycle" and growth + error >= 0.0 and not doubt.may_fall
+    is_cycle = envelope.kind == "limit_cycle" and growth + error >= 0.0
     # The motion that dies out is another one where that in doubt grows.
     falls = envelope.cause is Cause.DIES_OUT and growth < 0.0
     is_motion = is_cycle or falls or envelope.kind == "diverged"
@@ -107,13 +106,10 @@ class Doubt(NamedTuple):
 
     It may be where it leaves more than noise, or has a motion grow, or change by less than 0.3: what grows comes to a
     limit. A fit that leaves noise alone, of a motion that dies out slowly, says itself how little is known.
-
-    may_fall: whether a fit of all of the motion leaves noise alone, and lets the motion fall by 0.3 within its error.
     """
 
     found: Finding
     may_be_wrong: bool
-    may_fall: bool
 
 
 def by_parts(motion: Motion) -> tuple[Finding | None, Doubt | None, list[Window]]:
@@ -142,9 +138,8 @@ def by_parts(motion: Motion) -> tuple[Finding | None, Doubt | None, list[Window]
             continue
         if found.kind != "cannot_say" and (doubt is None or _overrules(found, doubt, window, share)):
             return _at_the_end(motion, found, window, share), None, earlier
-        if doubt is None:
-            doubt = Doubt(found, _may_be_wrong(found, window), share == TAILS[0] and _may_fall(found, window))
-        doubt = doubt._replace(may_be_wrong=doubt.may_be_wrong or not leaves_noise(window))
+        may_be_wrong = _may_be_wrong(found, window) if doubt is None else doubt.may_be_wrong
+        doubt = Doubt(found if doubt is None else doubt.found, may_be_wrong or not leaves_noise(window))
         if found.frequency_hz and doubt.found is found and found.cause is not Cause.ON_ITS_WAY:
             swings_hz = [*swings_hz, found.frequency_hz]
     return None, doubt, earlier
@@ -266,12 +261,6 @@ def _falls_to_the_end(found: Finding, window: Window, motion: Motion) -> bool:
 def _may_be_wrong(found: Finding, window: Window) -> bool:
     rate, error = found.growth_per_s or 0.0, SURE_ERRORS * found.error_per_s
     return rate > 0.0 or abs(rate) + error < 2.0 * LEAST_CHANGE / window.length_s
-
-
-def _may_fall(found: Finding, window: Window) -> bool:
-    """Return whether a fit that leaves noise alone lets a motion fall by 0.3: its envelope knows that no better."""
-    least = (found.growth_per_s or 0.0) - SURE_ERRORS * found.error_per_s
-    return leaves_noise(window) and least * window.length_s < -2.0 * LEAST_CHANGE
 
 
 def _overrules(found: Finding, doubt: Doubt, window: Window, share: float) -> bool:
