@@ -1,4 +1,8 @@
-"""What every test shares: seeded property tests without a time limit on single examples, and which cases run when."""
+"""What every test shares.
+
+Property tests are seeded and have no time limit on single examples, a test gives back what it changed in its process,
+and marks say which cases run when.
+"""
 
 import gc
 import sys
@@ -9,6 +13,9 @@ from pathlib import Path
 import pytest
 from changed_files import touches
 from hypothesis import HealthCheck, settings
+from restored_process import process_restored, process_restored_after_a_file
+
+__all__ = ["process_restored", "process_restored_after_a_file"]
 
 ROOT = Path(__file__).parent
 

@@ -21,6 +21,7 @@ from telenano.laws.deadband import DeadbandState, deadband, initial_deadband_sta
 from telenano.laws.integration import NewestSignal, TimingParams, silence_ns
 from telenano.laws.lateral import NO_ENERGY, EnergyTank
 from telenano.numerics.frames import to_paper_axis, to_site_frame
+from telenano.runtime.loop.commands import DEFAULT_VALIDITY_S
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.sections.controller_section import KNOWN_LAWS, PACKAGE_LAWS, ControllerConfig, changed_config
 from telenano.timing.freshness import FreshnessState
@@ -42,7 +43,8 @@ class HalfState(msgspec.Struct, array_like=True, kw_only=True):
     lateral value of the other half, at the slave's half the position that the hand wants for the tip [m], at the
     master's the force on the tip [N]; far_place: position of the stage, at the master's half [m]; hand_stamp: number
     and time stamp [ns] of the newest sample of the hand; reported_j: energy at the port at the last report [J];
-    newest: number of the newest signal of the other half, and time stamp [ns] of the hand's sample that it answers.
+    newest: number of the newest signal of the other half, and time stamp [ns] of the hand's sample that it answers;
+    told: whether a command has chosen the law since the start.
     `capture` writes law (None before the first sample), steps and freshness.
     """
 
@@ -60,6 +62,7 @@ class HalfState(msgspec.Struct, array_like=True, kw_only=True):
     steps: int
     freshness: FreshnessState
     newest: tuple[int, int] = (-1, 0)
+    told: bool = False
 
 
 class ControllerHalf(Node):
@@ -73,8 +76,10 @@ class ControllerHalf(Node):
 
     Messages past their deadline are rejected (`Freshness`), and a half that stalled continues with the next fresh
     signal. If the process of the other half has restarted, its first signal counts as inactive. That interrupts the
-    law, so that its counters of the other half start again from the present values of that half. A half that has just
-    started takes over the law in which the other one signals.
+    law, so that its counters of the other half start again from the present values of that half. A half whose law no
+    command has chosen since its start takes over the law in which the other one signals: at its first signal, and with
+    the settings of its start once it has heard no signal of its own law for longer than a command is valid, because
+    none is on its way then.
     """
 
     # The whole state of the half, of type `state_kind`, and the part of it that both halves have.
@@ -176,6 +181,7 @@ class ControllerHalf(Node):
         if not switched and self.law_state is not None:
             self.law_state = self.retuned(self.params, changed.params())
         self._adopt(changed)
+        self.half.told |= "law" in control.parameters
         if switched:
             self._switch()
         return "set " + ", ".join(f"{key} = {value}" for key, value in control.parameters.items())
@@ -268,12 +274,15 @@ class ControllerHalf(Node):
         return True
 
     def _joins(self, law: str) -> bool:
-        """Take over the law of the other half if this one has only just started; return whether it is in force now.
+        """Take over the law of the other half if this one does not know better; return whether it is in force now.
 
-        A process that is started again has the law of its scenario, and does not know of a change in the session.
+        A process that is started again has the law of its scenario, and does not know of a change in the session. The
+        command for that may still be on its way to the other half, which then leaves the law of the scenario later.
         """
+        half = self.half
         is_possible = law in KNOWN_LAWS and law not in self._failing and law not in self.config.refused_laws
-        if self.half.newest[0] >= 0 or not is_possible:
+        is_alone = half.config is None and self._silence_s() > DEFAULT_VALIDITY_S
+        if half.told or not is_possible or not (half.newest[0] < 0 or is_alone):
             return False
         text = f"law {law} is in force, as at the other site; this half was started with {self.law.name}"
         self.event("mode", "warning", f"{text}, and has the other settings of its start")

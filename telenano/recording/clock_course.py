@@ -134,7 +134,11 @@ def _stretch(run: Sequence[Bounds], drift: float) -> Stretch:
 
 
 def _sought(part: Stretch, after: Stretch, read: Read) -> tuple[int, int]:
-    """Find by bisection the end of the first line and the start of the second, by this clock [ns]."""
+    """Find by bisection the end of the first line and the start of the second, by this clock [ns].
+
+    A bound may be dated outside of the interval in which it was recorded, because that is by the recorder's clock; it
+    counts as one at the nearer end.
+    """
     begin_ns, end_ns = last_ns, first_ns = part.last_ns, after.first_ns
     while end_ns - begin_ns > 2 * _SOUGHT_NS:
         middle_ns = (begin_ns + end_ns) // 2
@@ -143,10 +147,14 @@ def _sought(part: Stretch, after: Stretch, read: Read) -> tuple[int, int]:
             end_ns = middle_ns
             continue
         at_ns, high_ns = min(piece.upper)
-        if abs(high_ns - _high(part.line, at_ns)) < abs(high_ns - _high(after.line, at_ns)):
+        is_first = abs(high_ns - _high(part.line, at_ns)) < abs(high_ns - _high(after.line, at_ns))
+        at_ns = min(max(at_ns, middle_ns), end_ns)
+        if is_first:
             begin_ns = last_ns = at_ns
         else:
-            end_ns = first_ns = at_ns
+            # Only the bounds that count are kept, so others may lie between the middle and this one.
+            first_ns = at_ns
+            end_ns = at_ns if at_ns < end_ns else middle_ns
     return last_ns, first_ns
 
 

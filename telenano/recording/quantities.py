@@ -34,7 +34,7 @@ def model_of(topic: str) -> type[Record] | None:
 
 def quantity(topic: str, column: str) -> Quantity:
     """Return unit and description of a topic's column, such as `tip_force_n.2`; both empty if unknown."""
-    return _quantities(topic).get(_without_index(column), Quantity("", ""))
+    return _quantities(model_of(topic)).get(_without_index(column), Quantity("", ""))
 
 
 def _without_index(column: str) -> str:
@@ -43,8 +43,7 @@ def _without_index(column: str) -> str:
 
 
 @cache
-def _quantities(topic: str) -> dict[str, Quantity]:
-    model = model_of(topic)
+def _quantities(model: type[Record] | None) -> dict[str, Quantity]:
     quantities = {name: Quantity(*facts) for name, facts in _RECORD.items()}
     return quantities if model is None else quantities | dict(_of_model(model, ""))
 

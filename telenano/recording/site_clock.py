@@ -60,7 +60,7 @@ _STEP_NS = _NS // 1000
 _EARLY_NS = 1_000_000
 # Largest plausible difference of two clocks [s]: some 300 years.
 _LONGEST_S = 1e10
-# Represents an unknown delay [ns].
+# Represents an unknown delay [ns]; a delay of so much either way, some 36 years, is of a stamp that no clock had.
 _LONG_NS = 2**60
 
 
@@ -355,14 +355,18 @@ def _earliest_s(on_clocks: _ClockMessages, clock: SiteClock) -> tuple[float, flo
         for message in on_clocks.select(_is_tip, *window):
             hand_ns = _hand_ns(message)
             stamps.append(message.publish_ns)
-            there.append(message.publish_ns - hand_ns if hand_ns else _LONG_NS)
-            back.append(message.log_ns - message.publish_ns if on_clocks.is_masters else _LONG_NS)
+            there.append(_known_ns(message.publish_ns - hand_ns) if hand_ns else _LONG_NS)
+            back.append(_known_ns(message.log_ns - message.publish_ns) if on_clocks.is_masters else _LONG_NS)
     if not stamps:
         return math.inf, math.inf
     ahead_ns = clock.ahead_ns(np.array(stamps, dtype=np.int64))
     ways = np.array(there, dtype=np.int64), np.array(back, dtype=np.int64)
     shifted = min(int((ways[0] - ahead_ns).min()), int((ways[1] + ahead_ns).min()))
     return shifted / _NS, min(int(ways[0].min()), int(ways[1].min())) / _NS
+
+
+def _known_ns(delay_ns: int) -> int:
+    return delay_ns if abs(delay_ns) < _LONG_NS else _LONG_NS
 
 
 def _is_on_clocks(channel: RecordedChannel) -> bool:

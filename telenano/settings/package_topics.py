@@ -34,7 +34,8 @@ def problem_with(name: str) -> str:
 
 
 def _find(name: str) -> Topic | None:
-    return _loaded(name)[0] if name in installed_topics() else None
+    row = _loaded(name)[0] if name in installed_topics() else None
+    return register_topic(row) if row else None
 
 
 @cache

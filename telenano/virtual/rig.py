@@ -35,7 +35,7 @@ from telenano.settings.config import flag_overrides, merge
 from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.settings.scenario import LoadedScenario
 from telenano.timing.clock import Clock, VirtualClock
-from telenano.virtual.bus import RecordingBus, VirtualBus
+from telenano.virtual.bus import RecorderWay, RecordingBus, VirtualBus
 from telenano.virtual.machine import QuietLog, VirtualMachine
 from telenano.virtual.timing import RANDOM_TIMING, RandomStreams, Range, Timing
 from telenano.virtual.wiring import VirtualWiring, network_of
@@ -141,6 +141,8 @@ class Engine:
         self._published: dict[tuple[str, str], list[Message]] = {}
         self._endpoints: dict[str, VirtualBus] = {}
         self._recorders: list[RecordingBus] = []
+        # By endpoint and topic, the recorders that record it, each with its connection.
+        self._recorded: dict[tuple[str, str], list[tuple[RecordingBus, RecorderWay]]] = {}
         self._order = 0
         # By sender, reader and topic, a function that draws the transit of a message, and the arrival of the newest
         # one [ns], because a connection preserves the order of messages.
@@ -219,7 +221,7 @@ class Engine:
         self._due_of = dict.fromkeys(sorted([*self._due_of, key]), 0)
         self._unknown = set(self._due_of)
         self._routes.clear()
-        self._recorders = [bus for bus in self.buses.values() if isinstance(bus, RecordingBus)]
+        self._note_recorders()
 
     def restart(self, key: str, away_ns: int = 0) -> Node:
         """Restart a node, as after a kill of its process, and return the new node.
@@ -239,7 +241,7 @@ class Engine:
         self.loops.pop(key, None)
         self.buses.pop(key).close()
         self._routes.clear()
-        self._recorders = [bus for bus in self.buses.values() if isinstance(bus, RecordingBus)]
+        self._note_recorders()
 
     def stall(self, key: str, duration_s: float) -> None:
         """Let a node stand still for a duration from now [s]: it takes no turn, and messages to it wait."""
@@ -306,7 +308,7 @@ class Engine:
 
     def turn(self, key: str, loop: NodeLoop) -> None:
         """Run one turn of a node."""
-        loop.turn()
+        loop.turn_now()
 
     def draw(self, low_high: Range, *names: str) -> int:
         """Draw a delay [ns] from the stream of these names."""
@@ -364,9 +366,7 @@ class Engine:
 
     def _record(self, endpoint: str, topic: str, payload: bytes, sent_ns: int) -> None:
         """Deliver a message to the recorders that observe an endpoint, with a delay of their own."""
-        for bus in self._recorders:
-            if (way := bus.way(endpoint, topic)) is None:
-                continue
+        for bus, way in self._recording(endpoint, topic):
             self._order += 1
             arrives_ns = sent_ns + way.draw()
             last_ns = bus.newest_ns.get(endpoint, 0)
@@ -376,6 +376,19 @@ class Engine:
             if not bus.coming:
                 self._unknown.add(bus.key)
             bus.coming.append((arrives_ns, self._order, way, payload))
+
+    def _recording(self, endpoint: str, topic: str) -> list[tuple[RecordingBus, RecorderWay]]:
+        """Return the recorders that record a topic of an endpoint, each with its connection."""
+        place = (endpoint, topic)
+        found = self._recorded.get(place)
+        if found is None:
+            found = [(bus, way) for bus in self._recorders if (way := bus.way(endpoint, topic)) is not None]
+            self._recorded[place] = found
+        return found
+
+    def _note_recorders(self) -> None:
+        self._recorders = [bus for bus in self.buses.values() if isinstance(bus, RecordingBus)]
+        self._recorded.clear()
 
     def _route(self, topic: str, message: Message) -> Route:
         src = message.src

@@ -232,7 +232,7 @@ class SimulatedRig(Engine):
     def turn(self, key: str, loop: NodeLoop) -> None:
         """Run one turn of a node; if it fails, the launcher restarts the node, as it does a process."""
         try:
-            loop.turn()
+            loop.turn_now()
         except (Exception, SystemExit) as error:
             if key == LAUNCHER:
                 raise

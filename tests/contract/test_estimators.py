@@ -186,6 +186,7 @@ def test_the_page_lists_each_estimator_and_each_is_there() -> None:
         assert callable(_function(name)), name
 
 
+@pytest.mark.check("fits by the estimators of the packages")
 @pytest.mark.parametrize("name", ESTIMATORS)
 def test_what_does_not_fit_is_refused_or_said(name: str) -> None:
     run, reason = ESTIMATORS[name]
@@ -193,6 +194,7 @@ def test_what_does_not_fit_is_refused_or_said(name: str) -> None:
         run()
 
 
+@pytest.mark.check("takes 0.6 s")
 @pytest.mark.parametrize("seed", range(3))
 def test_a_spectrum_that_is_no_resonance_is_refused_and_a_tone_is_left_out(seed: int) -> None:
     own = importlib.import_module("telenano_lab.calibration.own_calibration")

@@ -5,7 +5,7 @@ for words, command in commands():
 """
 
 from collections.abc import Collection, Iterator
-from typing import Any
+from typing import Any, Literal, get_args, get_origin
 
 import typer
 
@@ -66,6 +66,15 @@ def needed(words: tuple[str, ...], command: Any, left_out: Collection[str] = ())
     for parameter in command.params:
         if parameter.required and parameter.name not in left_out:
             is_option = parameter.param_type_name == "option"
-            value = "out/made" if parameter.name == "out" else "1" if is_option else str(DEMO_RECORDING)
-            found += [parameter.opts[0], value] if is_option else [value]
+            found += [parameter.opts[0], _value_of(parameter)] if is_option else [_value_of(parameter)]
     return found
+
+
+def _value_of(parameter: Any) -> str:
+    """Return a value that a parameter takes: a path to make, a recording, the first of its words, or a number."""
+    if parameter.name == "out":
+        return "out/made"
+    if parameter.param_type_name != "option":
+        return str(DEMO_RECORDING)
+    annotation = parameter.type_descriptor.annotation
+    return str(get_args(annotation)[0]) if get_origin(annotation) is Literal else "1"

@@ -155,8 +155,13 @@ BEFORE: Mapping[str, Sequence[str]] = {
 }
 # Of a recording that is not larger the messages are compared, and not only how many there are.
 SMALL_BYTES = 100_000
-# Commands that take minutes for each value, left to `make endurance` unless they are touched.
-COSTLY = ("assemble", "benchmark", "study drift", "study push", "study stability", "study promises", "study advise")
+# Commands that take minutes for all of their values, left to `make endurance`.
+COSTLY = (
+    "assemble", "benchmark", "study advise", "study drift", "study gallery", "study promises", "study push",
+    "study stability",
+)  # fmt: skip
+# Commands that take three to six seconds for each value: not drawn for `make check`, but tried where they are touched.
+SLOW = ("compare", "device accept", "link picture", "report", "reproduce", "scan", "simulate", "study transparency")
 # Commands that are not tried, each with the reason.
 OF_A_RIG: Mapping[str, str] = {
     "up": "starts processes, whose times differ; `simulate` has most of its options, and tests/stack the others",

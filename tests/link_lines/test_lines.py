@@ -66,6 +66,7 @@ def step(after_ms: float, hz: int = 500, from_s: float = 3.0) -> LineOf:
     return LineOf("step", way, way, hz=hz, seconds=6.0)
 
 
+@pytest.mark.grid(hz=125)
 @pytest.mark.parametrize("hz", [125, 1000])
 @pytest.mark.parametrize("after_ms", [50.0, 100.0])
 def test_after_a_step_the_hand_is_off_for_a_moment_and_no_queue_is_said_to_stand(after_ms: float, hz: int) -> None:
@@ -79,6 +80,7 @@ def test_after_a_step_the_hand_is_off_for_a_moment_and_no_queue_is_said_to_stand
     assert all(mbit is None or mbit > 10.0 for seen in session.seen for mbit, _ in seen.capacities)
 
 
+@pytest.mark.check("takes 2.6 s")
 def test_one_way_that_becomes_longer_is_told_from_the_other() -> None:
     level = WayOf(LEVEL)
     for there, back in ((step(60.0).there, level), (level, step(60.0).there)):

@@ -126,7 +126,7 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "InputJournal.__init__: self._next_state_ns = 0 [0 => 1]": "no turn is taken a nanosecond after 1970",
     },
     "telenano/runtime/loop/node_loop.py": {
-        "NodeLoop.turn: if self._deferred.due_ns < NEVER_NS:"
+        "NodeLoop.turn_now: if self._deferred.due_ns < NEVER_NS:"
         " [self._deferred.due_ns < NEVER_NS => self._deferred.due_ns <= NEVER_NS]": "no task is due then",
         "install_stop_signals: signal.set_wakeup_fd(writer.detach(), warn_on_full_buffer=False) [False => True]": "only"
         " a process that gets more signals than the socket holds is warned of it",

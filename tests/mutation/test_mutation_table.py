@@ -13,6 +13,7 @@ def test_each_module_has_tests_and_each_equivalent_a_reason() -> None:
     assert all(reason for entries in EQUIVALENT.values() for reason in entries.values())
 
 
+@pytest.mark.check("takes 2 s, and is of the table of mutants alone")
 @pytest.mark.parametrize("module", MODULES)
 def test_every_mutant_of_a_module_is_python_and_has_a_name_of_its_own(module: str) -> None:
     source = (ROOT / module).read_text()

@@ -103,19 +103,24 @@ def test_the_half_at_the_hand_comes_back_over_a_tip_that_is_withdrawn(law: str) 
     assert (found.mode, found.last_n) == ("retracted", pytest.approx(0.0, abs=BOUND))
 
 
-@pytest.mark.check("takes 5 s")
+@pytest.mark.check("takes 10 s")
+@pytest.mark.parametrize("is_late", [False, True], ids=["changed before", "the other half hears of the change later"])
 @pytest.mark.parametrize("half", HALVES)
-def test_a_half_that_comes_back_takes_over_the_law_that_was_changed(half: str) -> None:
+def test_a_half_that_comes_back_takes_over_the_law_that_was_changed(half: str, is_late: bool) -> None:
     rig = VirtualRig(None, 3, ["controller.law=virtual_impedance"], scenario=SCENARIO)
     rig.run_until(ARMED_S)
     rig.command("arm", "*", place="hand")
     rig.run_until(STARTED_S)
     rig.command("start", "haptic_node")
     rig.run_until(1.2)
-    rig.command("set", "controller", law="wave")
+    if not is_late:
+        rig.command("set", "controller", law="wave")
     rig.run_until(KILLED_S)
     rig.restart(half, AWAY_NS)
-    rig.run_until(KILLED_S + 0.6)
+    rig.run_until(KILLED_S + 0.4)
+    if is_late:
+        rig.command("set", *(other for other in HALVES if other != half), law="wave")
+    rig.run_until(KILLED_S + 1.7)
     if half == "controller@master":
         rig.command("arm", "afm_node@slave", place="hand")
     rig.run_until(ENDS_S)

@@ -82,6 +82,7 @@ def is_driven(state: Any) -> bool:
 BACK, THERE = {LINK_NODE}, {LINK_ENDPOINT}
 
 
+@pytest.mark.grid(link_s=0.02)
 @pytest.mark.parametrize(
     ("link_s", "blocked"),
     [(0.0, BACK), (0.02, BACK), (0.25, BACK), (0.02, THERE), (0.02, BACK | THERE)],
@@ -123,6 +124,7 @@ def test_a_short_silence_of_the_other_site_withdraws_nothing() -> None:
         rig.close()
 
 
+@pytest.mark.grid(way="backward")
 @pytest.mark.parametrize("way", ["forward", "backward"])
 def test_answers_that_come_too_late_for_the_hand_are_none(way: str) -> None:
     """Let a way become longer by more than a deadline, and nobody report it: the hand stays off, and the tip holds."""
@@ -140,6 +142,7 @@ def test_answers_that_come_too_late_for_the_hand_are_none(way: str) -> None:
         rig.close()
 
 
+@pytest.mark.check("takes 2 s")
 def test_a_restarted_half_takes_no_answer_of_before_for_a_fresh_one() -> None:
     """Build a new master half while nothing comes back: the hand has had an answer, and long ago."""
     rig = Session(0.02)

@@ -10,6 +10,7 @@ sent and recorded. `--planted` plants one fault after the other, and prints the 
 """
 
 import argparse
+import contextlib
 import hashlib
 import json
 import statistics
@@ -67,15 +68,13 @@ def _replay(path: Path, keep: Path | None) -> int:
 
 
 def _campaign(seed: int, hours: float, out: Path) -> int:
-    failures: list[campaign.Tried] = []
-
-    def observe(one: campaign.Tried) -> None:
-        if one.breaks:
-            failures.append(one)
+    tally = campaign.Tally([])
+    with contextlib.suppress(KeyboardInterrupt):
+        for one in campaign.campaign(seed, hours):
+            tally.schedules.append(one)
             for found in one.breaks:
                 print(f"seed {one.schedule.seed}: {found.invariant} at {found.at_s:.3f} s: {found.text}", flush=True)
-
-    tally = campaign.campaign(seed, hours, observe)
+    failures = [one for one in tally.schedules if one.breaks]
     print(f"\n{campaign.speed(tally)}\n")
     _print_table("invariant", campaign.INVARIANTS, tally, tally.broken(), "broken in")
     _print_table("situation", tuple(SITUATIONS), tally, tally.reached(), "reached in")

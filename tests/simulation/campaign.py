@@ -4,20 +4,22 @@ result = tried(Schedule.drawn(7))
 result.breaks
 """
 
+import itertools
 import json
+import math
 import shutil
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import outside_judge
 import reached
-from fault_schedule import Schedule
-from faulty_rig import RATE_HZ, run
+from fault_schedule import RATES_HZ, Schedule
+from faulty_rig import run
 from outside_judge import Break
 from processor_time import without_collector
 
@@ -81,7 +83,7 @@ def tried(schedule: Schedule, *, reports: bool = True) -> Tried:
 
 def report(folder: Path, *, is_made: bool = True) -> None:
     """Write the statements of the report into verdict.json of a session; without a report, the reason for that."""
-    said: dict[str, Any] = {"kind": "", "reason": "", "missing": [], "holds": [], "failure": "no report was made"}
+    said: dict[str, Any] = dict(kind="", reason="", start_ns=0, missing=[], holds=[], failure="no report was made")
     if is_made:
         try:
             said |= {**_report_of(folder), "failure": ""}
@@ -94,8 +96,14 @@ def _report_of(folder: Path) -> dict[str, Any]:
     parts = sorted((folder / "far").glob("*.mcap"))
     files = SessionFolder(folder)
     files.note_far([path.name for path in parts])
-    summary = RecordedSession([files.merge(parts)] if parts else list(files.own()[0])).summary
-    said = {"kind": summary["verdict"], "reason": summary["reason"], "holds": summary["holds"]}
+    session = RecordedSession([files.merge(parts)] if parts else list(files.own()[0]))
+    summary = session.summary
+    said = {
+        "kind": summary["verdict"],
+        "reason": summary["reason"],
+        "start_ns": session.start_ns,
+        "holds": summary["holds"],
+    }
     return {**said, "missing": summary["recording"]["missing"]}
 
 
@@ -131,26 +139,25 @@ class Tally(NamedTuple):
 def campaign(
     first_seed: int,
     hours: float,
-    observe: Callable[[Tried], None] = lambda one: None,
     *,
-    processor_s: float | None = None,
-) -> Tally:
-    """Run the schedules of successive seeds until a number of simulated hours, or a processor time [s] if given."""
-    tally, begun_s, seed = Tally([]), time.process_time(), first_seed
-    while tally.simulated_h < hours and (processor_s is None or time.process_time() - begun_s < processor_s):
+    processor_s: float = math.inf,
+) -> Iterator[Tried]:
+    """Yield the results of successive seeds until a number of simulated hours, or a processor time [s] if given."""
+    simulated_s, begun_s = 0.0, time.process_time()
+    for seed in itertools.count(first_seed):
+        if simulated_s >= 3600.0 * hours or time.process_time() - begun_s >= processor_s:
+            return
         one = tried(Schedule.drawn(seed), reports=seed % REPORTED_EACH == 0)
-        tally.schedules.append(one)
-        observe(one)
-        seed += 1
-    return tally
+        simulated_s += one.simulated_s
+        yield one
 
 
 def speed(tally: Tally) -> str:
     """Return a sentence on the speed of a campaign."""
     rate = tally.simulated_h / max(tally.processor_h, 1e-9)
     return (
-        f"{len(tally.schedules)} schedules, {tally.simulated_h:.3f} simulated hours at {RATE_HZ} Hz in "
-        f"{tally.processor_h:.3f} hours of one processor: {rate:.2f} simulated hours an hour"
+        f"{len(tally.schedules)} schedules, {tally.simulated_h:.3f} simulated hours at {min(RATES_HZ):g} to "
+        f"{max(RATES_HZ):g} Hz in {tally.processor_h:.3f} hours of one processor: {rate:.2f} simulated hours an hour"
     )
 
 

@@ -43,8 +43,16 @@ LAWS = (
     "wave", "virtual_impedance", "position_force", "passivity", "bounded_model", "four_channel", "fractal_impedance",
     "matched_wave", "model_mediated", "smith", "tactile", "tdpa", "two_layer",
 )  # fmt: skip
+# Rates of the loops [Hz]: at 50 Hz the deadline of the devices has two and a half periods, at 250 Hz twelve.
+RATES_HZ = (50.0, 100.0, 100.0, 250.0)
+# A law that promises nothing, and presses beyond the limit of the instrument at less than the greatest of these rates,
+# without any fault.
+FAST_LAW = "four_channel"
 # Latest begin of a group of faults, since the start of the processes [s].
 FAULTS_S = 4.5
+# Share of the schedules in which only the delay changes, under the first law. Hand and tip then stay coupled for all of
+# the session, as the energy at both ports is judged: a law that makes some, at each period, needs seconds to show it.
+CALM_SHARE = 0.1
 # Time without faults after the last one, before a person arms; and time after that in which the rig must recover.
 CALM_S = 0.7
 RECOVERY_S = 2.0
@@ -55,7 +63,8 @@ class Schedule(NamedTuple):
     """A session with its faults.
 
     seed: seed of all delays on the sites; law: the law at the start; delay_s: delay of the network in each direction
-    [s]; link_s: delay that the link adds in each direction [s]; events: the events in the order of time.
+    [s]; link_s: delay that the link adds in each direction [s]; events: the events in the order of time; rate_hz: the
+    rate of the loops [Hz].
     """
 
     seed: int
@@ -63,6 +72,7 @@ class Schedule(NamedTuple):
     delay_s: float
     link_s: float
     events: tuple[Event, ...]
+    rate_hz: float = 250.0
 
     @classmethod
     def drawn(cls, seed: int) -> "Schedule":
@@ -72,23 +82,34 @@ class Schedule(NamedTuple):
         if dice.random() < 0.4:
             ahead_s = round(dice.choice([0.003, 0.2, 7.0, 3600.0]) * dice.choice([1, -1]), 4)
             events.append({"at_s": 0.0, "kind": "clock", "ahead_s": ahead_s, "drift_ppm": dice.choice([0, 20, -40])})
+        is_calm = dice.random() < CALM_SHARE
         for _ in range(dice.choice([1, 2, 2, 3, 3, 4, 5, 6])):
             group = dice.choices(list(_GROUPS), [weight for weight, _ in _GROUPS.values()])[0]
-            events += _GROUPS[group][1](dice, round(dice.uniform(0.3, FAULTS_S), 3))
+            draw = _short_delay if is_calm else _GROUPS[group][1]
+            events += draw(dice, round(dice.uniform(0.3, FAULTS_S), 3))
         events = _few_kills(events)
         delay_s, link_s = dice.choice([0.001, 0.005, 0.02, 0.05]), dice.choice([0.0, 0.0, 0.01])
-        return cls(seed, _law(dice), delay_s, link_s, tuple(sorted(events, key=lambda one: one["at_s"])))
+        events.sort(key=lambda one: one["at_s"])
+        law, rate_hz = "wave" if is_calm else _law(dice), dice.choice(RATES_HZ)
+        laws = {law, *(one["law"] for one in events if one["kind"] == "law")}
+        if FAST_LAW in laws:
+            rate_hz = max(RATES_HZ)
+        if laws != {"wave"}:
+            # Over a long way only wave variables promise to go on, so that nothing could be judged at the end.
+            ends_s = round(max(one["at_s"] + one.get("for_s", 0.0) for one in events), 4)
+            events.append({"at_s": ends_s, "kind": "delay", "forward_s": 0.01, "backward_s": 0.01})
+        return cls(seed, law, delay_s, link_s, tuple(events), rate_hz)
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> "Schedule":
         """Return a schedule from its document; raise ValueError if that is invalid."""
-        if missing := set(cls._fields) - set(document):
+        if missing := set(cls._fields) - set(cls._field_defaults) - set(document):
             raise ValueError(f"the schedule has no {', '.join(sorted(missing))}")
         events = tuple(document["events"])
         for event in events:
             if event.get("kind") not in KINDS or "at_s" not in event:
                 raise ValueError(f"{event}: an event has `at_s` and a `kind` of {', '.join(sorted(KINDS))}")
-        return cls(**{name: document[name] for name in cls._fields if name != "events"}, events=events)
+        return cls(**{name: value for name, value in document.items() if name in cls._fields} | {"events": events})
 
     def text(self) -> str:
         """Return the schedule as JSON."""
@@ -114,8 +135,7 @@ def _network(dice: random.Random, at_s: float) -> list[Event]:
     way = dice.choice(["both", "forward", "backward"])
     for_s = dice.choice([0.04, 0.12, 0.3, 0.8, 1.5])
     if kind == "delay":
-        there_s, back_s = (dice.choice([0.001, 0.01, 0.03, 0.06, 0.1]) for _ in range(2))
-        return [{"at_s": at_s, "kind": kind, "forward_s": there_s, "backward_s": dice.choice([there_s, back_s])}]
+        return _delay(dice, at_s, (0.001, 0.01, 0.03, 0.06, 0.1))
     if kind == "line":
         bad = dice.sample(["loss", "duplicate", "reorder", "corrupt"], dice.choice([1, 1, 2]))
         line = {name: dice.choice([0.02, 0.1, 0.3]) if name in bad else 0.0 for name in _LINE}
@@ -125,6 +145,16 @@ def _network(dice: random.Random, at_s: float) -> list[Event]:
         rate = dice.choice([20e3, 60e3, 150e3])
         return [{"at_s": at_s, "kind": kind, "direction": way, "bytes_per_s": rate, "for_s": for_s}]
     return [{"at_s": at_s, "kind": kind, "direction": way, "for_s": for_s}]
+
+
+def _delay(dice: random.Random, at_s: float, delays_s: Sequence[float]) -> list[Event]:
+    there_s, back_s = (dice.choice(delays_s) for _ in range(2))
+    return [{"at_s": at_s, "kind": "delay", "forward_s": there_s, "backward_s": dice.choice([there_s, back_s])}]
+
+
+def _short_delay(dice: random.Random, at_s: float) -> list[Event]:
+    """Draw a change of the delay by less than a deadline, which no device takes for a loss."""
+    return _delay(dice, at_s, (0.001, 0.01, 0.03))
 
 
 def _process(dice: random.Random, at_s: float) -> list[Event]:
@@ -206,11 +236,16 @@ def _stop_while_away(dice: random.Random, at_s: float) -> list[Event]:
 
 
 def _answer_lost(dice: random.Random, at_s: float) -> list[Event]:
-    """Draw a stop from the master's site, and the end of the link while the stop or its answer crosses."""
+    """Draw a stop from the master's site, and the end of the link while the stop or, more often, its answer crosses.
+
+    The answer needs a long way back, and the whole way is short enough for any law to go on.
+    """
+    there_s, back_s = dice.choice([0.001, 0.01]), dice.choice([0.03, 0.045])
+    delay = {"kind": "delay", "forward_s": there_s, "backward_s": back_s}
     press = {"kind": "press", "site": "master", "target": dice.choice(["*", "afm_node"])}
-    later_s = round(at_s + dice.uniform(0.0, 0.12), 4)
-    kill = {"kind": "kill", "node": LINK, "after": dice.choice([0, 0, 2, 8]), "torn": 0.0}
-    return [{"at_s": at_s, **press}, {"at_s": later_s, **kill}]
+    later_s = round(at_s + there_s + dice.uniform(-0.01, back_s), 4)
+    kill = {"kind": "kill", "node": LINK, "after": 0, "torn": 0.0}
+    return [{"at_s": round(max(at_s - 0.1, 0.0), 3), **delay}, {"at_s": at_s, **press}, {"at_s": later_s, **kill}]
 
 
 def _law_while_cut(dice: random.Random, at_s: float) -> list[Event]:
@@ -227,10 +262,14 @@ def _law_while_cut(dice: random.Random, at_s: float) -> list[Event]:
 
 
 def _half_of_another_law(dice: random.Random, at_s: float) -> list[Event]:
-    """Draw a change of the law, and then the end of one half, whose new process has the law of the scenario."""
+    """Draw a change of the law, and then the end of one half, whose new process has the law of the scenario.
+
+    Whether the rig goes on is judged for any law only where the way is short.
+    """
+    short = _short_delay(dice, max(round(at_s - 0.1, 3), 0.0))
     kill = {"kind": "kill", "node": dice.choice(HALVES), "after": 0, "torn": 0.0}
     later_s = round(at_s + dice.uniform(0.2, 0.8), 3)
-    return [{"at_s": at_s, "kind": "law", "law": dice.choice(LAWS)}, {"at_s": later_s, **kill}]
+    return [*short, {"at_s": at_s, "kind": "law", "law": dice.choice(LAWS)}, {"at_s": later_s, **kill}]
 
 
 def _press(dice: random.Random, at_s: float) -> Event:
@@ -266,7 +305,7 @@ _GROUPS: dict[str, tuple[float, Callable[[random.Random, float], list[Event]]]] 
     "stop while away": (1.0, _stop_while_away),
     "law while cut": (0.4, _law_while_cut),
     "answer lost": (0.4, _answer_lost),
-    "half of another law": (0.4, _half_of_another_law),
+    "half of another law": (0.8, _half_of_another_law),
 }
 KINDS = frozenset(
     {

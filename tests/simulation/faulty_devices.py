@@ -8,15 +8,14 @@ from telenano.extend.instruments import AfmReport
 
 # Number of steps by which a late sample is older.
 _LATE_STEPS = 5
-_PERIOD_S = 4e-3
 _STATUS = {"lost": "lost", "late": "stale", "repeating": "stale"}
 
 
 class _Faulty:
     """A device that returns the samples of a simulated one, changed by the present fault."""
 
-    def __init__(self, device: Any, fault: Callable[[], str]) -> None:
-        self._device, self._fault = device, fault
+    def __init__(self, device: Any, fault: Callable[[], str], period_s: float) -> None:
+        self._device, self._fault, self._period_s = device, fault, period_s
         self._samples: list[Any] = []
         self._status, self._age_s, self._valid = "ok", 0.0, True
 
@@ -35,11 +34,11 @@ class _Faulty:
         fault = self._fault()
         self._status, self._valid = _STATUS.get(fault, "ok"), fault != "range"
         if fault in ("lost", "repeating") and self._samples:
-            self._age_s += _PERIOD_S
+            self._age_s += self._period_s
             return self._samples[-1]
         self._samples = [*self._samples[-_LATE_STEPS:], sample]
         late = fault == "late" and len(self._samples) > _LATE_STEPS
-        self._age_s = _LATE_STEPS * _PERIOD_S if late else 0.0
+        self._age_s = _LATE_STEPS * self._period_s if late else 0.0
         return self._samples[0] if late else sample
 
     @property

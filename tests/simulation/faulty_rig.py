@@ -44,7 +44,6 @@ from telenano.wire.messages import SessionControl, SessionEvent
 from telenano.wire.nodes import FAR_RECORDER, KEEPERS, LAUNCHER, RECORDER, is_meant, name_of, site_of
 from telenano.wire.received import Received
 
-RATE_HZ = 250
 _KILLED = -9
 _PERSON_NS = 20_000_000
 _STOP_NS = 50_000_000
@@ -225,6 +224,7 @@ class FaultyRig(SimulatedRig):
         self.ways = {name: Way(schedule.seed, name, schedule.delay_s) for name in ("forward", "backward")}
         self._machines: dict[str, MachineClock] = {}
         self._clock_event: Event = next((one for one in schedule.events if one["kind"] == "clock"), {})
+        self._sets_clocks = any(one["kind"] in ("clock", "site_restart") for one in schedule.events)
         self._doomed: dict[str, int] = {}
         self._faults: dict[str, tuple[str, float]] = {}
         self._fate: tuple[bytes, list[Any]] = (b"", [])
@@ -254,7 +254,7 @@ class FaultyRig(SimulatedRig):
 
     def clock_of(self, key: str) -> Clock:
         machine = "master" if name_of(key) == name_of(LINK) else site_of(key)
-        if machine == "master":
+        if machine == "master" or not self._sets_clocks:
             return self.clock
         if machine not in self._machines:
             given = self._clock_event
@@ -471,9 +471,7 @@ class FaultyRig(SimulatedRig):
             return
         # The readers at the slave's site get the same copies.
         self._fate = (payload, self._crossing("forward", topic, payload, sent_ns))
-        for bus in self._recorders:
-            if (way := bus.way(src, topic)) is None:
-                continue
+        for bus, way in self._recording(src, topic):
             near = bus.key != FAR_RECORDER
             for copy in self._fate[1] if not near else [None]:
                 self._order += 1
@@ -517,7 +515,7 @@ def scenario_of(schedule: Schedule) -> dict[str, Any]:
         "name": "faults",
         "description": "A hand presses the tip onto mica twice, while faults happen",
         "duration_s": SESSION_S,
-        "realtime": {"rate_hz": float(RATE_HZ)},
+        "realtime": {"rate_hz": schedule.rate_hz},
         "haptic_node": {"operator": {"kind": "force_profile", "points": points}},
         "controller": {"law": schedule.law},
         "afm_node": {"rest_distance_m": 10.0e-9},
@@ -559,10 +557,10 @@ def _faulty_devices(rig: FaultyRig) -> Iterator[None]:
     make_hand, make_tip = haptic_process.device_of, afm_process.driver_of
 
     def hand(*given: Any) -> Any:
-        return FaultyHand(make_hand(*given), lambda: rig.fault_of("hand"))
+        return FaultyHand(make_hand(*given), lambda: rig.fault_of("hand"), 1.0 / rig.schedule.rate_hz)
 
     def tip(*given: Any) -> Any:
-        return FaultyTip(make_tip(*given), lambda: rig.fault_of("tip"))
+        return FaultyTip(make_tip(*given), lambda: rig.fault_of("tip"), 1.0 / rig.schedule.rate_hz)
 
     with mock.patch.object(haptic_process, "device_of", hand), mock.patch.object(afm_process, "driver_of", tip):
         yield

@@ -27,10 +27,9 @@ from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from zstandard import ZstdError
 
 HAND, TIP, LINK = "haptic_node@master", "afm_node@slave", "delay_node@master"
-# Validity of a command, and time for which a tip without one is held before it is withdrawn [s].
-DEADLINE_S, HOLD_S = 0.05, 0.2
-# Tolerance: two periods of the loop, and a turn that is 3 ms late [s].
-GRAIN_S = 0.0115
+# Validity of a command; time for which a tip without one is held before it is withdrawn; tolerance besides two periods
+# of the loop, for a turn that is 3 ms late and the ways on a site [s].
+DEADLINE_S, HOLD_S, LATE_S = 0.05, 0.2, 0.0035
 # Time, in addition to the round trip, within which a tip stops following after the hand last felt an answer [s].
 UNFELT_S = 0.5
 # Times after which the link knows a change of the line's delay, and for which a person waits who presses a stop [s].
@@ -90,6 +89,7 @@ class Session:
             self.direct[one.fields.get("src", ""), one.topic].append(one)
         self.happened = [{**act["event"], "at_s": act["at_s"]} for act in self.acts if act["what"] == "event"]
         self.end_s: float = next(act["at_s"] for act in self.acts if act["what"] == "end")
+        self.grain_s: float = 2.0 / self.schedule["rate_hz"] + LATE_S
         self.laws = {self.schedule["law"], *(one["law"] for one in self.events("law"))}
 
     def _read(self, site: str, path: Path) -> None:
@@ -144,9 +144,9 @@ class Newest:
     def time_of(self, at_s: float) -> float:
         return -1e9 if (newest := self.at(at_s)) is None else newest.sent_s
 
-    def mode(self, at_s: float) -> str:
+    def mode(self, at_s: float, within_s: float) -> str:
         newest = self.at(at_s)
-        return "silent" if newest is None or at_s - newest.sent_s > 0.06 else str(newest.fields["mode"])
+        return "silent" if newest is None or at_s - newest.sent_s > within_s else str(newest.fields["mode"])
 
     def between(self, from_s: float, to_s: float) -> list[Seen]:
         return self._messages[bisect_right(self._times, from_s) : bisect_right(self._times, to_s)]
@@ -170,14 +170,14 @@ def judge_tip(session: Session) -> Iterator[Break]:
         if mode not in ("follow", "hold") or not _is_known(lost, at_s - 0.4, at_s):
             continue
         newest, age_s = armed.at(at_s), at_s - armed.time_of(at_s)
-        if age_s > DEADLINE_S + GRAIN_S + HOLD_S * (mode == "hold"):
+        if age_s > DEADLINE_S + session.grain_s + HOLD_S * (mode == "hold"):
             yield Break("safe_in_time", at_s, f"the tip is in {mode} {age_s * 1e3:.0f} ms after the last command")
         if mode != "follow" or before.fields["mode"] != "follow" or at_s - before.sent_s > 0.1 or newest is None:
             continue
         if state.fields.get("device") == before.fields.get("device") == "lost":
             yield Break("safe_in_time", at_s, "the tip follows although the instrument is lost")
         hand_s = (newest.fields["hand_t_ns"] - session.epoch_ns) * 1e-9
-        allowed_s = DEADLINE_S + GRAIN_S + session.link_s(at_s) + session.transit_s("forward", at_s)
+        allowed_s = DEADLINE_S + session.grain_s + session.link_s(at_s) + session.transit_s("forward", at_s)
         if at_s - hand_s > allowed_s:
             name = "nothing_late" if state.depth_m - before.depth_m > 1e-12 else "safe_in_time"
             text = f"a sample of {1e3 * (at_s - hand_s):.0f} ms, of {1e3 * allowed_s:.0f} allowed"
@@ -195,10 +195,10 @@ def judge_hand(session: Session) -> Iterator[Break]:
         at_s, state = one.sent_s, one.fields
         if state["mode"] == "off" or not _is_known(lost, at_s - 0.4, at_s):
             continue
-        if (age_s := at_s - commands.time_of(at_s)) > DEADLINE_S + GRAIN_S:
+        if (age_s := at_s - commands.time_of(at_s)) > DEADLINE_S + session.grain_s:
             yield Break("safe_in_time", at_s, f"the motor is on {age_s * 1e3:.0f} ms after the last command")
         old_s = at_s - (state["answered_t_ns"] - session.epoch_ns) * 1e-9
-        if old_s > DEADLINE_S + GRAIN_S + session.trip_s(at_s):
+        if old_s > DEADLINE_S + session.grain_s + session.trip_s(at_s):
             yield Break("nothing_late", at_s, f"the hand obeys an answer to a sample of {old_s * 1e3:.0f} ms")
 
 
@@ -246,21 +246,21 @@ def judge_stops(session: Session) -> Iterator[Break]:
 
 
 def _judge_window(session: Session) -> Iterator[Break]:
-    answers = [one for one in session.direct[TIP, "session/event"] if one.fields["kind"] == "ack"]
-    obeyed = {one.fields["id"]: one.sent_s for one in reversed(answers)}
+    events = reversed(session.direct[TIP, "session/event"])
+    obeyed = {one.fields["id"]: one.sent_s for one in events if one.fields["kind"] == "ack"}
     samples = [one for one in session.seen if one.channel == "teleop/forward@slave"]
     for act in session.acts:
         if act["what"] != "press" or act["site"] != "master" or TIP not in act["devices"] or LINK not in act["kept"]:
             continue
         until_s = min(obeyed.get(act["id"], session.end_s), session.end_s)
-        for late_s in [one.sent_s for one in samples if act["at_s"] + GRAIN_S < one.sent_s < until_s][:1]:
+        for late_s in [one.sent_s for one in samples if act["at_s"] + session.grain_s < one.sent_s < until_s][:1]:
             text = f"a sample sent {late_s - act['at_s']:.3f} s after a stop has crossed before it was obeyed"
             yield Break("stop_is_last", late_s, text)
 
 
 def _judge_arming(session: Session, ack: Seen) -> Iterator[Break]:
     at_s = ack.sent_s
-    states = Newest(session.direct[TIP, "afm/state"]).between(at_s - 0.02, at_s + 0.3)
+    states = Newest(session.direct[TIP, "afm/state"]).between(at_s - session.grain_s, at_s + 0.3)
     commands = Newest(session.direct["controller@slave", "afm/command"]).between(at_s - 0.15, at_s + 0.3)
     references = [one.depth_m for one in commands]
     if len(states) < 2 or any(one.get("name") == "recover" and abs(one["at_s"] - at_s) < 0.3 for one in session.acts):
@@ -335,13 +335,14 @@ def judge_verdict(session: Session) -> Iterator[Break]:
         yield Break("law_not_blamed", 0.0, f"{session.verdict['kind']}: {session.verdict['reason'][:200]}")
     hands, tips = session.direct[HAND, "haptic/state"], Newest(session.direct[TIP, "afm/state"])
     lost = sorted([*session.missing(HAND, "haptic/state"), *session.missing(TIP, "afm/state")])
-    zero_s = next((one.sent_s - one.fields["session_s"] for one in hands if one.fields["session_s"] > 0.0), 0.0)
+    # A force profile that a person starts again is another session.
+    zero_s, silent_s = (session.verdict["start_ns"] - session.epoch_ns) * 1e-9, DEADLINE_S + session.grain_s
     for hold in session.verdict["holds"]:
         inside = [one for one in hands if hold["start_s"] <= one.sent_s - zero_s <= hold["end_s"]]
-        if hold["verdict"] != "stable" or len(inside) < 50 or not _is_known(lost, inside[0].sent_s, inside[-1].sent_s):
+        if hold["verdict"] != "stable" or not inside or not _is_known(lost, inside[0].sent_s, inside[-1].sent_s):
             continue
-        held_s = 0.004 * sum(one.fields["mode"] != "off" and tips.mode(one.sent_s) == "follow" for one in inside)
-        if held_s < 0.4 * (hold["end_s"] - hold["start_s"]):
+        held = [one for one in inside if one.fields["mode"] != "off" and tips.mode(one.sent_s, silent_s) == "follow"]
+        if (held_s := len(held) / session.schedule["rate_hz"]) < 0.4 * (hold["end_s"] - hold["start_s"]):
             text = f"the hold from {hold['start_s']:.2f} s is stable, and hand and tip were in it for {held_s:.2f} s"
             yield Break("praised_was_held", inside[0].sent_s, text)
 
@@ -380,7 +381,7 @@ def judge_going_on(session: Session) -> Iterator[Break]:
     if at_s is None or (session.trip_s(99.0) > 0.06 and session.laws != {"wave"}):
         return
     for device, topic, wanted in ((HAND, "haptic/state", "position"), (TIP, "afm/state", "follow")):
-        mode = Newest(session.direct[device, topic]).mode(at_s)
+        mode = Newest(session.direct[device, topic]).mode(at_s, DEADLINE_S + session.grain_s)
         if mode != wanted and not session.missing(device, topic)[-1:] > [at_s - 0.2]:
             yield Break("goes_on", at_s, f"{device} is {mode} after all was armed again")
 
@@ -396,5 +397,4 @@ def judged(session: Session) -> list[Break]:
 
 if __name__ == "__main__":
     FOUND = judged(Session(Path(sys.argv[1])))
-    print(*(f"{one.invariant} at {one.at_s:.3f} s: {one.text}" for one in FOUND), sep="\n")
-    sys.exit(bool(FOUND))
+    sys.exit("\n".join(f"{one.invariant} at {one.at_s:.3f} s: {one.text}" for one in FOUND) or None)

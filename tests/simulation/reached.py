@@ -145,7 +145,9 @@ def _steps(session: Session) -> list[float]:
     for at_s, age_s in zip(times, ages, strict=True):
         wanted = (at_s - 0.06, at_s + 0.06, at_s + 0.12)
         places = [bisect_left(times, one) for one in wanted]
-        if places[-1] == len(times) or any(times[k] - one > 0.02 for k, one in zip(places, wanted, strict=True)):
+        if places[-1] == len(times) or any(
+            times[k] - one > session.grain_s + 0.01 for k, one in zip(places, wanted, strict=True)
+        ):
             continue
         before_s, after_s, then_s = (ages[k] for k in places)
         if abs(after_s - age_s) > 0.008 and max(abs(age_s - before_s), abs(then_s - after_s)) < 0.004:

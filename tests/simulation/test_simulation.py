@@ -12,7 +12,7 @@ import campaign
 import faulty_rig
 import pytest
 from campaign import INVARIANTS, Tried, tried
-from fault_schedule import KINDS, LINK, TIP, Event, Schedule
+from fault_schedule import KINDS, LINK, RATES_HZ, TIP, Event, Schedule
 from planted import PLANTED
 from reached import SITUATIONS
 from shrunk import MOST_EVENTS, shrunk
@@ -59,6 +59,7 @@ def test_a_schedule_is_data_that_comes_from_its_seed() -> None:
     assert [Schedule.of(json.loads(one.text())) for one in drawn] == drawn
     assert [Schedule.drawn(seed) for seed in range(300)] == drawn
     assert {event["kind"] for one in drawn for event in one.events} == KINDS
+    assert {one.rate_hz for one in drawn} == set(RATES_HZ)
 
 
 @pytest.mark.parametrize("document", [{}, {"seed": 1, "law": "wave", "delay_s": 0.0, "link_s": 0.0, "events": [{}]}])
@@ -91,7 +92,7 @@ def test_the_judge_imports_nothing_of_the_project() -> None:
 @pytest.mark.check("takes 20 s, by the day")
 @pytest.mark.timeout(300)
 def test_the_schedules_of_the_day_break_no_invariant(capsys: pytest.CaptureFixture[str]) -> None:
-    tally = campaign.campaign(SEED_OF_THE_DAY, 1.0, processor_s=15.0)
+    tally = campaign.Tally(list(campaign.campaign(SEED_OF_THE_DAY, 1.0, processor_s=15.0)))
     with capsys.disabled():
         sys.stdout.write(f"\nseed of the day: {SEED_OF_THE_DAY}; {campaign.speed(tally)}; {dict(tally.broken())}\n")
     assert [text for one in tally.schedules for text in unexpected(one)] == []
@@ -137,6 +138,27 @@ def test_every_invariant_has_a_planted_fault() -> None:
     assert {name for fault in PLANTED.values() for name in fault.breaks} == set(INVARIANTS)
 
 
+# What was mended after a schedule had shown it, each with the events that are needed.
+MENDED: dict[str, tuple[Event, ...]] = {
+    "a force profile that is started again is judged at its own time": (
+        {"at_s": 0.776, "kind": "partition", "direction": "forward", "for_s": 0.3},
+        {"at_s": 3.0, "kind": "stop"},
+    ),
+    "a half that was started again takes over a law of which the other half hears only later": (
+        {"at_s": 0.0, "kind": "clock", "ahead_s": -3600.0, "drift_ppm": 0},
+        {"at_s": 1.99, "kind": "stall", "node": LINK, "for_s": 1.0},
+        {"at_s": 2.0, "kind": "law", "law": "virtual_impedance"},
+        {"at_s": 2.3, "kind": "kill", "node": "controller@master", "after": 0, "torn": 0.0},
+    ),
+}
+
+
+@pytest.mark.check("takes 2 s each")
+@pytest.mark.parametrize("mended", MENDED)
+def test_what_was_mended_breaks_no_invariant(mended: str) -> None:
+    assert unexpected(tried(Schedule(1, "wave", 0.005, 0.0, MENDED[mended], 50.0))) == []
+
+
 @pytest.mark.endurance
 @pytest.mark.parametrize("situation", MADE)
 def test_a_situation_that_is_made_is_seen_in_the_recordings(situation: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,6 +171,7 @@ def test_a_situation_that_is_made_is_seen_in_the_recordings(situation: str, monk
 @pytest.mark.endurance
 @pytest.mark.timeout(4 * 3600)
 def test_hours_of_schedules_break_no_invariant_and_reach_every_situation() -> None:
-    tally = campaign.campaign(SEED_OF_THE_DAY + 500, float(os.environ.get("SIMULATED_HOURS", "1.0")))
+    hours = float(os.environ.get("SIMULATED_HOURS", "1.0"))
+    tally = campaign.Tally(list(campaign.campaign(SEED_OF_THE_DAY + 500, hours)))
     assert [text for one in tally.schedules for text in unexpected(one)] == []
     assert {name for name in SITUATIONS if not tally.reached()[name]} == set()

@@ -57,7 +57,10 @@ def stays_stopped(rig: Rig, since_ns: int) -> str:
     return f"{1e9 * (base_m[0] - min(base_m)):.1f} nm"
 
 
+# `test_running_rig.py` has such an arm after the stop in `make test`, and virtual time has every order.
 @BOTH_WAYS
+@pytest.mark.check("stops a process of a rig for 3 s")
+@pytest.mark.drawn(0.0, "telenano/runtime/", "telenano/console/", "services/afm_node/")
 def test_an_arm_that_waits_at_a_stopped_instrument_is_void_after_a_stop(rig: Rig) -> None:
     begin_ns = time.time_ns()
     assert rig.telenano("estop").returncode == 0

@@ -8,6 +8,8 @@ from telenano.testing import ADVERSE, EVERYTHING, balance, drawn, worst_balances
 
 OWN = ("bounded_model", "matched_wave", "tdpa", "two_layer")
 CORE = ("wave", "passivity")
+# A change of these has all orders run, and any other one a share of the laws.
+OF_LAWS = ("telenano/laws/", "telenano/testing/law_balance/", "packages/telenano-laws/telenano_laws/")
 # Orders of one draw each: kind, seed, case, and how long [s]. In the first ones laws made energy before they counted
 # what the hand does at its device, or before a tip paid for all that a sample may take in a step.
 FOUND = (
@@ -51,6 +53,7 @@ def test_a_device_that_something_else_moves_while_it_is_off_brings_no_energy_int
 
 
 @pytest.mark.check("compiles the law")
+@pytest.mark.drawn(0.5, *OF_LAWS)
 @pytest.mark.parametrize(
     ("name", "kind", "seed", "case"),
     [
@@ -114,7 +117,7 @@ def test_a_surface_that_was_learnt_while_the_device_was_off_throws_no_hand_back(
 
 
 @pytest.mark.check("seventeen orders for every passive law, up to 12 s of processor time each law")
-@pytest.mark.drawn(0.5)
+@pytest.mark.drawn(0.3, *OF_LAWS)
 @pytest.mark.parametrize("name", [*OWN, *CORE])
 def test_a_passive_law_makes_no_energy_in_the_orders_in_which_laws_did(name: str) -> None:
     law = LAWS[name]
@@ -124,6 +127,7 @@ def test_a_passive_law_makes_no_energy_in_the_orders_in_which_laws_did(name: str
 
 
 @pytest.mark.check("eleven orders of four seconds for every passive law, 2 s of processor time each law")
+@pytest.mark.drawn(0.55, *OF_LAWS)
 @pytest.mark.parametrize("name", [*OWN, *CORE])
 def test_a_passive_law_makes_no_energy_over_what_is_worse_than_a_constant_delay(name: str) -> None:
     law = LAWS[name]

@@ -207,6 +207,7 @@ def test_a_draw_follows_from_its_number() -> None:
 
 
 @pytest.mark.check("compiles the law with spring and contact")
+@pytest.mark.drawn(0.5, "packages/telenano-laws/telenano_laws/")
 @pytest.mark.parametrize("number", [5, 17, 43, 47, 51])
 def test_the_worst_draws_stay_within_what_was_granted(number: int) -> None:
     found = judged(number)

@@ -11,7 +11,7 @@ PROJECT = tomllib.loads((Path(__file__).parents[1] / "pyproject.toml").read_text
 
 
 @pytest.mark.check("compiles the law")
-@pytest.mark.drawn(0.4)
+@pytest.mark.drawn(0.4, "packages/telenano-laws/telenano_laws/")
 @pytest.mark.parametrize("name", PROJECT["entry-points"]["telenano.laws"])
 def test_the_law_keeps_every_rule(name: str) -> None:
     assert {rule: faults for rule, faults in telenano.check_law(name).items() if faults} == {}

@@ -138,6 +138,10 @@ class NodeLoop:
     def turn(self) -> None:
         """Wait for the next message or deadline and act on it."""
         self._bus.wait(min(self.node.deadline_ns(), self._health_ns, self._deferred.due_ns))
+        self.turn_now()
+
+    def turn_now(self) -> None:
+        """Act on what has come, without a wait: the owner of several loops waits for all of them."""
         woken = self._note_awake()
         if self._may_be_kept:
             self._take_kept_stop()

@@ -154,7 +154,7 @@ class SiteLoop:
     def take(self, member: Member) -> None:
         """Let a node take a turn."""
         self._at = member.key
-        member.loop.turn()
+        member.loop.turn_now()
 
     def _next_ns(self) -> int:
         """Return the time of the next turn of any node without a message, on the monotonic clock [ns]."""

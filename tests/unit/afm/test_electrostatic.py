@@ -90,6 +90,7 @@ def test_a_soft_tip_is_pulled_in_from_further_away_and_let_go_again_when_the_vol
     assert not moved(driver, -20e-9).in_contact
 
 
+@pytest.mark.check("takes 3 s")
 def test_the_dynamic_cantilever_rests_where_the_quasi_static_one_does() -> None:
     section: dict[str, Any] = {"meniscus": False, "cantilever": {"stiffness_n_per_m": 2.0}}
     static, dynamic = instrument(4.0, section), instrument(4.0, {**section, "model": "dynamic"})

@@ -90,6 +90,7 @@ def made(seed: int) -> Made:
     return Made(series, changes, times, float(shown_nm.min()), float(shown_nm.max()), both_ways)
 
 
+@pytest.mark.grid(seed=1)
 @pytest.mark.parametrize("seed", range(8))
 def test_labels_stand_where_the_states_change_and_the_panel_ends_where_the_path_does(seed: int) -> None:
     session = made(seed)

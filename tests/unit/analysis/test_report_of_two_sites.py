@@ -206,11 +206,13 @@ def test_a_hold_that_the_recording_does_not_show_at_the_hand_is_one_without_data
     assert "haptic/state: nothing from 2.700 s to 4.550 s of the session" in summary["recording"]["missing"]
 
 
+@pytest.mark.check("takes a second")
 def test_a_pause_of_a_twentieth_of_a_hold_is_none(tmp_path: Path) -> None:
     summary = report(tmp_path, without=lambda topic, time_s: topic == "afm/state" and 3.5 < time_s < 3.57)
     assert verdicts(summary) == ["stable"] * 2
 
 
+@pytest.mark.check("takes a second")
 @pytest.mark.parametrize(("until_s", "found"), [(0.0, ["guarded"] * 4), (2.0, ["stable", "guarded", "guarded"])])
 def test_a_session_in_which_no_answer_reached_the_hand_is_not_stable(
     tmp_path: Path, until_s: float, found: list[str]
@@ -433,6 +435,7 @@ def test_a_clock_that_steps_back_inside_a_file_is_not_blamed_on_the_sites(
     assert clock_warning(summary) == ""
 
 
+@pytest.mark.check("takes a second")
 def test_the_page_tells_a_silence_and_a_loss(tmp_path: Path) -> None:
     document = judged_recording(Recording(stood_still(Made(), anew=False).write(tmp_path)))
     (silence,) = [moment for moment in document["moments"] if moment["kind"] == "source_silent"]
@@ -463,6 +466,7 @@ def test_recordings_of_both_sites_tell_silence_from_loss_alone_and_together(
         assert summary["recording"]["complete"] is verify([path]).sound is (what == "silent")
 
 
+@pytest.mark.check("takes a second")
 @pytest.mark.parametrize("by_s", [0.03, 0.2])
 def test_the_line_before_and_after_a_lasting_change_is_told(tmp_path: Path, by_s: float) -> None:
     summary = report(tmp_path, longer_s=(5.0, by_s))
@@ -476,6 +480,7 @@ def test_the_line_before_and_after_a_lasting_change_is_told(tmp_path: Path, by_s
     assert f"is {after['round_trip_ms']:.3g} ms" in told
 
 
+@pytest.mark.check("takes a second")
 def test_a_line_that_stays_and_one_machine_have_no_change_to_tell_of(
     tmp_path: Path, with_one_clock: dict[str, Any]
 ) -> None:

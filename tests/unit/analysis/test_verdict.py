@@ -260,6 +260,7 @@ def test_a_swing_within_a_step_of_the_read_out_is_not_called_rest(place: float) 
 SIZES = (0.3, 1.0, 3.0)
 
 
+@pytest.mark.grid(noise_n=0.02)
 @pytest.mark.parametrize("last", SIZES)
 @pytest.mark.parametrize(("frequency_hz", "part"), [(3.1, 0.1), (9.658, 0.4), (22.0, 0.6)])
 @pytest.mark.parametrize("noise_n", [0.0, 0.02])

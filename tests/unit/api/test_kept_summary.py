@@ -81,6 +81,7 @@ def flipped(path: Path) -> None:
     os.utime(path, ns=(before.st_atime_ns, before.st_mtime_ns))
 
 
+@pytest.mark.check("judges a recording twice")
 def test_a_changed_byte_of_the_recording_is_judged_again(recording: Path, judged: list[str]) -> None:
     whole = telenano.open(recording).summary
     flipped(recording)
@@ -90,6 +91,7 @@ def test_a_changed_byte_of_the_recording_is_judged_again(recording: Path, judged
     assert judged == ["session.mcap"] * 2
 
 
+@pytest.mark.check("judges a recording twice")
 def test_a_recording_that_changes_while_it_is_open_is_not_kept(recording: Path, judged: list[str]) -> None:
     opened = telenano.open(recording)
     flipped(recording)
@@ -141,6 +143,7 @@ def test_what_is_no_file_is_not_read(recording: Path, place: str) -> None:
     assert telenano.open(recording).verdict
 
 
+@pytest.mark.check("judges a recording twice")
 def test_another_judge_judges_again(recording: Path, judged: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
     assert telenano.open(recording).verdict
     monkeypatch.setattr(kept_summary, "judge_digest", lambda: "another")
@@ -202,6 +205,7 @@ def test_a_process_whose_source_was_changed_keeps_nothing(
     assert not kept.path.exists()
 
 
+@pytest.mark.check("judges a recording twice")
 def test_a_folder_that_cannot_be_written_keeps_nothing(
     recording: Path, judged: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -222,6 +226,7 @@ def test_a_recording_that_was_moved_with_what_is_kept_names_its_new_place(record
     assert judged == ["session.mcap"]
 
 
+@pytest.mark.check("judges a recording twice")
 def test_the_recording_of_the_library_is_not_written_beside() -> None:
     from telenano.settings import DEMO_RECORDING
 

@@ -16,16 +16,33 @@ from telenano.wire.errors import ConfigError, NoRecordingError
 LAWS = ("wave", "virtual_impedance")
 
 
-@pytest.fixture
-def folder(recording_of: Callable[[str], Path], tmp_path: Path) -> Path:
-    """Return a folder with a recording of each law in a folder of its own, beside a figure and an empty folder."""
+@pytest.fixture(scope="module")
+def judged(recording_of: Callable[[str], Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a recording of each law in a folder of its own, and with what was judged of it."""
+    folder = tmp_path_factory.mktemp("judged")
     for law in LAWS:
-        (tmp_path / law).mkdir()
-        shutil.copy(recording_of(law).resolve(), tmp_path / law / "session.mcap")
-        (tmp_path / law / "summary.json").write_text("{}")
+        (folder / law).mkdir()
+        shutil.copy(recording_of(law).resolve(), folder / law / "session.mcap")
+        (folder / law / "summary.json").write_text("{}")
+    telenano.open_all(f"{folder}/*")
+    return folder
+
+
+@pytest.fixture
+def folder(judged: Path, tmp_path: Path) -> Path:
+    """Return a copy of that folder, with a figure and an empty folder."""
+    shutil.copytree(judged, tmp_path, dirs_exist_ok=True)
     (tmp_path / "figure.png").write_bytes(b"")
     (tmp_path / "empty").mkdir()
     return tmp_path
+
+
+@pytest.fixture
+def unjudged(folder: Path) -> Path:
+    """Return that folder without what was judged."""
+    for law in LAWS:
+        (folder / law / ".session.mcap.summary").unlink()
+    return folder
 
 
 def test_a_table_has_a_row_for_each_hold_and_what_was_set(folder: Path) -> None:
@@ -95,7 +112,7 @@ def test_without_pandas_its_absence_is_named(folder: Path, monkeypatch: pytest.M
 
 @pytest.mark.check("takes 4 s")
 def test_a_bar_counts_the_new_ones_and_is_seen_on_a_terminal_alone(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
+    unjudged: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Terminal(io.StringIO):
         def isatty(self) -> bool:
@@ -106,25 +123,25 @@ def test_a_bar_counts_the_new_ones_and_is_seen_on_a_terminal_alone(
         stream = kind()
         monkeypatch.setattr(sys, "stderr", stream)
         monkeypatch.delitem(sys.modules, "ipykernel", raising=False)
-        telenano.open_all(f"{folder}/*")
+        telenano.open_all(f"{unjudged}/*")
         shown.append(stream.getvalue())
         if len(shown) == 1:
             for law in LAWS:
-                (folder / law / ".session.mcap.summary").unlink()
+                (unjudged / law / ".session.mcap.summary").unlink()
     # of those that are kept there is nothing to wait for
     assert (shown[0], shown[2]) == ("", "")
     assert "0 of 2" in shown[1] and shown[1].endswith("2 of 2\n")
 
 
 @pytest.mark.check("takes 4 s")
-def test_kept_recordings_take_a_small_part_of_the_time(folder: Path) -> None:
+def test_kept_recordings_take_a_small_part_of_the_time(unjudged: Path) -> None:
     def seconds() -> float:
         begin_s = time.perf_counter()
-        telenano.open_all(f"{folder}/*")
+        telenano.open_all(f"{unjudged}/*")
         return time.perf_counter() - begin_s
 
-    hand_recording(folder / "hand", 50)
-    telenano.open_all(f"{folder}/hand")
-    shutil.rmtree(folder / "hand")
+    hand_recording(unjudged / "hand", 50)
+    telenano.open_all(f"{unjudged}/hand")
+    shutil.rmtree(unjudged / "hand")
     first_s = seconds()
     assert min(seconds() for _ in range(3)) < 0.2 * first_s

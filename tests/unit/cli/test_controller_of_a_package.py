@@ -113,6 +113,7 @@ def test_what_it_cannot_do_is_refused_before_anything_starts(found: dict[str, An
     assert "wave closes a loop through the instrument, and line_afm gives 100 samples a second" in found["plan"]
 
 
+@pytest.mark.check("makes a package and starts an interpreter of its own")
 def test_its_calibration_file_is_enough_to_probe_it_and_to_look_for_it(found: dict[str, Any]) -> None:
     probe = found["probe"]
     assert probe["identity"] == "a controller of lines"

@@ -189,6 +189,7 @@ def test_the_help_of_a_group_comes_by_its_word(group: str) -> None:
     assert typed(f"{group} help") == typed(f"{group} --help")
 
 
+@pytest.mark.check("takes 4 s")
 def test_a_report_goes_beside_the_summary_of_a_session(tmp_path: Path) -> None:
     file = tmp_path / "session.mcap"
     file.write_bytes(DEMO_RECORDING.read_bytes())

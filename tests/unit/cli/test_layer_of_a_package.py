@@ -119,6 +119,7 @@ def test_the_package_is_imported_when_a_scenario_has_its_section(found: dict[str
     assert found["imported"] == [False, False, True]
 
 
+@pytest.mark.check("makes a package and starts an interpreter of its own")
 def test_the_layer_holds_the_tip_up_and_keeps_a_state(found: dict[str, Any]) -> None:
     plain_n, first_n, last_n = found["force"]
     # the dust raises the surface by 3.5 nm, which a cantilever of 40 N/m feels as 140 nN or less
@@ -131,6 +132,7 @@ def test_the_layer_holds_the_tip_up_and_keeps_a_state(found: dict[str, Any]) -> 
     assert found["state"][0] == found["state"][1] < 3.5e-9
 
 
+@pytest.mark.check("makes a package and starts an interpreter of its own")
 def test_what_cannot_lie_there_is_refused_in_one_sentence(found: dict[str, Any]) -> None:
     height, environment, key, unknown = found["refused"]
     assert "safety.retract_position_m = -1e-09 m does not clear the dust: it must be -4e-09 m or less" in height
@@ -139,6 +141,7 @@ def test_what_cannot_lie_there_is_refused_in_one_sentence(found: dict[str, Any])
     assert "afm_node.sample.rust: unknown key" in unknown
 
 
+@pytest.mark.check("makes a package and starts an interpreter of its own")
 def test_a_hand_of_a_package_steers_the_tip_in_lockstep(found: dict[str, Any]) -> None:
     begin_m, end_m = found["tip_y_m"]
     assert begin_m == 0.0 != end_m

@@ -171,10 +171,12 @@ def test_a_law_of_a_package_has_its_section_and_keeps_every_rule(found: dict[str
     assert found["state_survives"]
 
 
+@pytest.mark.check("makes a package and starts an interpreter of its own")
 def test_a_driver_is_imported_when_a_section_names_it(found: dict[str, Any]) -> None:
     assert found["imported"] == [[], ["telenano_stub_handle"]]
 
 
+@pytest.mark.check("makes a package and starts an interpreter of its own")
 def test_operator_sample_and_device_of_a_package_do_what_their_models_say(found: dict[str, Any]) -> None:
     assert found["forces"] == pytest.approx([0.5, 1.5], rel=1e-3)
     # 2 N/m over the layer of 1 nm, then 20 N/m
@@ -186,6 +188,7 @@ def test_operator_sample_and_device_of_a_package_do_what_their_models_say(found:
     assert found["own_instrument_n"] == pytest.approx(4e-8, rel=1e-9)
 
 
+@pytest.mark.check("makes a package and starts an interpreter of its own")
 def test_list_probe_and_monitor_know_the_drivers_of_packages(found: dict[str, Any]) -> None:
     rows = {row["driver"]: row for row in found["list"]}
     assert {name: (rows[name]["node"], rows[name]["found"]) for name in ("stub_handle", "stub_afm")} == {
@@ -208,6 +211,7 @@ def test_list_probe_and_monitor_know_the_drivers_of_packages(found: dict[str, An
     assert all("sample_age_p50_s" in watched for watched in found["monitor"])
 
 
+@pytest.mark.check("makes a package and starts an interpreter of its own")
 def test_a_driver_is_no_name_of_the_other_node(found: dict[str, Any]) -> None:
     assert found["sections"] == 2 * [["stub_handle"]] + 2 * [["stub_afm"]]
     section, driver, misspelt, soft = found["messages"]
@@ -218,6 +222,7 @@ def test_a_driver_is_no_name_of_the_other_node(found: dict[str, Any]) -> None:
     assert soft.startswith("file: afm_node.stub_afm.stiffness_n_per_m: Input should be a valid number")
 
 
+@pytest.mark.check("makes a package and starts an interpreter of its own")
 def test_what_is_wrong_in_the_section_of_a_package_is_named(found: dict[str, Any]) -> None:
     assert found["refused"] == ["filtered.filter_s", "layered.k"]
 

@@ -101,6 +101,7 @@ def test_the_tip_goes_round_at_a_constant_force_and_retracts(found: dict[str, An
     assert found["turned"] == pytest.approx(3.14, abs=0.05)
 
 
+@pytest.mark.check("makes a package and starts an interpreter of its own")
 def test_it_is_one_program_among_the_others(found: dict[str, Any]) -> None:
     assert found["second"] == "program: a circle is running; abort it first"
     assert found["pause"] == "program: a circle cannot pause, it can only be aborted"
@@ -108,10 +109,12 @@ def test_it_is_one_program_among_the_others(found: dict[str, Any]) -> None:
     assert found["begin"] == ["circle", 2]
 
 
+@pytest.mark.check("makes a package and starts an interpreter of its own")
 def test_a_node_with_a_running_program_of_a_package_is_restored_and_goes_on(found: dict[str, Any]) -> None:
     assert found["restored"]
 
 
+@pytest.mark.check("makes a package and starts an interpreter of its own")
 def test_what_cannot_be_done_is_refused_by_its_key(found: dict[str, Any]) -> None:
     radius, gain, unknown, alone, broken = found["refused"]
     assert "afm_node.circle.radius_m: Input should be greater than or equal to" in radius
@@ -122,6 +125,7 @@ def test_what_cannot_be_done_is_refused_by_its_key(found: dict[str, Any]) -> Non
     assert f"afm_node.program: {what}" in broken
 
 
+@pytest.mark.check("makes a package and starts an interpreter of its own")
 def test_the_form_of_the_page_has_its_settings(found: dict[str, Any]) -> None:
     title, keys = found["form"]
     assert title == "Circle"

@@ -174,6 +174,18 @@ def test_half_that_has_just_started_takes_over_a_known_law(master: Any, law: str
     assert (node.law.name, bench.take("teleop/forward")[-1].law) == (in_force, in_force)
 
 
+def test_half_that_a_command_told_its_law_takes_over_no_other(master: Any) -> None:
+    bench, node = master
+    command = {"id": "a", "command": "set", "target": "controller", "parameters": {"law": "wave"}}
+    node.on_control(bench.make("session/control", "console@master", **command))
+    # longer than a command is valid, so that none for the other half is on its way
+    for _ in range(1200):
+        hand = tick(bench, node)
+        other = answer_fields(0.0, hand.seq, hand.t_ns, law="virtual_impedance")
+        node.on_message(bench.received("teleop/backward", "controller@slave", **other))
+    assert node.law.name == "wave"
+
+
 def test_missed_ticks_are_bridged_by_their_number(master: Any, bench_of: Any) -> None:
     moved = []
     for gap in (1, 3):

@@ -5,7 +5,6 @@ import importlib.util
 import io
 import json
 import os
-import signal
 import socket
 import sys
 import threading
@@ -176,18 +175,9 @@ sys.exit(3)
 """
 
 
-@pytest.fixture
-def handlers() -> Iterator[None]:
-    """Give this process its handlers of signals back."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
-
-
 def test_a_session_keeps_its_exit_code_and_ends_with_its_files_and_the_page(
     handover: Any, writer: socket.socket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str], handlers: None,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     script = tmp_path / "entrypoint.py"
     script.write_text(LEAVES.format(recordings=str(handover.RECORDINGS)))
@@ -207,7 +197,7 @@ def test_a_session_keeps_its_exit_code_and_ends_with_its_files_and_the_page(
 
 def test_a_session_whose_files_cannot_be_handed_over_says_where_they_are_and_fails(
     handover: Any, writer: socket.socket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str], handlers: None,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     script = tmp_path / "entrypoint.py"
     script.write_text(LEAVES.format(recordings=str(handover.RECORDINGS)).replace("sys.exit(3)", ""))
@@ -222,7 +212,7 @@ def test_a_session_whose_files_cannot_be_handed_over_says_where_they_are_and_fai
 
 def test_the_end_of_the_container_reaches_the_session_whose_report_is_still_handed_over(
     handover: Any, writer: socket.socket, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str], handlers: None,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
     script = tmp_path / "entrypoint.py"
     waits = "import os, signal\nsignal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})\n"

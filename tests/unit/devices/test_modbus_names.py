@@ -190,14 +190,10 @@ def test_an_answer_of_another_unit_or_function_is_refused_and_counted(change: An
 def test_a_library_that_logs_every_broken_frame_does_not_fill_the_disk(capsys: pytest.CaptureFixture[str]) -> None:
     from telenano.runtime.loop.log import StructuredLog, configure_logging
 
-    handlers = logging.getLogger().handlers[:]
-    try:
-        configure_logging(as_json=True)
-        for number in range(10_000):
-            logging.getLogger("pymodbus.logging").error("Unable to decode frame %d", number)
-        StructuredLog("afm_node@slave").warning("the instrument is lost")
-        written = capsys.readouterr().err.splitlines()
-    finally:
-        logging.getLogger().handlers[:] = handlers
+    configure_logging(as_json=True)
+    for number in range(10_000):
+        logging.getLogger("pymodbus.logging").error("Unable to decode frame %d", number)
+    StructuredLog("afm_node@slave").warning("the instrument is lost")
+    written = capsys.readouterr().err.splitlines()
     assert 20 <= len(written) < 100
     assert "the instrument is lost" in written[-1]

@@ -1,6 +1,5 @@
 import os
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,17 +25,6 @@ RECORDER = "recorder@master"
 @pytest.fixture(autouse=True)
 def _private_runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path / "run"))
-
-
-@pytest.fixture
-def own_signals() -> Iterator[None]:
-    """Keep this process's own signal handlers."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
-    descriptor = signal.set_wakeup_fd(-1)
-    yield
-    signal.set_wakeup_fd(descriptor)
-    for number, handler in before.items():
-        signal.signal(number, handler)
 
 
 def plan_of(tmp_path: Path, **options: Any) -> Plan:
@@ -186,7 +174,6 @@ def test_a_report_is_made_of_a_session_that_ran(tmp_path: Path, monkeypatch: pyt
             raise KeyboardInterrupt
 
 
-@pytest.mark.usefixtures("own_signals")
 def test_attaching_to_no_nodes_gives_up_at_its_limit_and_leaves_a_log(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, attach=True, wait_s=0.2)
     phases: list[str] = []
@@ -199,7 +186,6 @@ def test_attaching_to_no_nodes_gives_up_at_its_limit_and_leaves_a_log(tmp_path: 
     assert (plan.out / "logs" / "launcher@master.log").exists()
 
 
-@pytest.mark.usefixtures("own_signals")
 def test_a_stop_signal_ends_the_wait(tmp_path: Path) -> None:
     plan = plan_of(tmp_path, attach=True)
     outcome = run_rig(plan, lambda rig: os.kill(os.getpid(), signal.SIGTERM), lambda text: None)

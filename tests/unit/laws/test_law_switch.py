@@ -284,6 +284,7 @@ def test_a_sample_that_drifts_is_warned_of_once_with_the_error(
         assert abs(told - drift_m_per_s) <= 2.0 * error + 1.5e-11
 
 
+@pytest.mark.grid(law="virtual_impedance")
 @pytest.mark.parametrize("later", [1, 24])
 @pytest.mark.parametrize("law", LAWS)
 def test_the_delay_of_the_line_changes_in_a_held_contact_without_a_step(bench_of: Any, law: str, later: int) -> None:

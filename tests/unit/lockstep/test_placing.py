@@ -12,6 +12,7 @@ SPEED = "afm_node.safety.base_speed_m_per_s"
 FIRST_S = 0.05
 
 
+@pytest.mark.grid(round_trip_ms=40.0)
 @pytest.mark.usefixtures("plain_loop")
 @pytest.mark.parametrize("speed_m_per_s", [15e-9, 50e-9, 300e-9, 2e-6])
 @pytest.mark.parametrize("round_trip_ms", [0.0, 40.0])

@@ -56,6 +56,7 @@ def test_passivity_needs_a_longer_first_hold_in_fig12_at_any_delay(round_trip_ms
     assert longer.verdict == "stable", longer.reason
 
 
+@pytest.mark.check("takes 2 s")
 def test_a_guard_that_acted_in_a_simulation_comes_first() -> None:
     session = telenano.simulate("fig12", law="virtual_impedance", environment="spring", round_trip_ms=50.0)
     assert session.reason.startswith(

@@ -40,6 +40,7 @@ def test_columns_have_units_and_one_length(fig12: telenano.SimulatedSession) -> 
     assert fig12.to_pandas().attrs["units"]["tip_force_n"] == "N"
 
 
+@pytest.mark.check("takes 2 s")
 def test_delay_is_what_was_asked_for_half_of_it_each_way() -> None:
     ringing = telenano.simulate(round_trip_ms=60.0)
     assert ringing.verdict != "stable"
@@ -51,6 +52,7 @@ def test_delay_is_what_was_asked_for_half_of_it_each_way() -> None:
         assert np.array_equal(ringing[name], each_way[name], equal_nan=ringing[name].dtype.kind == "f")
 
 
+@pytest.mark.check("takes 2 s")
 def test_a_network_that_jitters_is_named_with_the_round_trip_that_it_had() -> None:
     jittery = telenano.simulate(
         settings={"delay_node.forward.delay_s": 0.02, "delay_node.forward.jitter.scale_s": 0.002}

@@ -17,6 +17,7 @@ def over_loss(law: str, round_trip_ms: float, loss: float, seed: int) -> telenan
 # The tip lands in the first hold, and what the lost messages leave is 1 to 12 mN: a fit that explains the landing
 # explains none of it.
 @pytest.mark.check("compiles the closed loop of waves over the sample")
+@pytest.mark.drawn(0.5, "telenano/analysis/", "telenano/lockstep/")
 @pytest.mark.parametrize(("loss", "seed"), [(0.1, 1), (0.1, 25), (0.1, 102), (0.05, 0), (0.05, 25), (0.1, 2)])
 def test_dips_that_lost_messages_leave_after_a_landing_do_not_grow(loss: float, seed: int) -> None:
     session = over_loss("wave", 40.0, loss, seed)

@@ -82,6 +82,7 @@ def messages_by_mcap(path: Path) -> Counter[tuple[str, int, int, int, bytes]]:
         )
 
 
+@pytest.mark.check("takes 2 s")
 def test_every_selection_of_messages_is_that_of_a_walk(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole, found = walked(path, monkeypatch), Recording(path)
     begin_ns, end_ns = whole.span_ns

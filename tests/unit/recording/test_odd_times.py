@@ -33,6 +33,7 @@ def test_a_pause_of_a_day_parts_the_dates_and_the_most_of_them_count() -> None:
     assert dates.most() == (10 * LONGEST_PAUSE_NS, 11 * LONGEST_PAUSE_NS + 7)
 
 
+@pytest.mark.grid(closed=True)
 @pytest.mark.parametrize("closed", [True, False])
 @pytest.mark.parametrize(
     ("place", "log_ns", "words"),

@@ -134,6 +134,7 @@ def test_any_flipped_bit_of_a_recording_is_named(make_file: MakeFile) -> None:
         assert not verify([path]).sound, place
 
 
+@pytest.mark.check("takes 1.7 s")
 def test_what_the_reader_of_the_format_fails_on_is_named(plain: bytes, tmp_path: Path) -> None:
     """Flip a bit here and there in a file without a checksum of its data, where any reader takes another text."""
     path = tmp_path / "flipped.mcap"

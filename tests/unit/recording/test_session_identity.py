@@ -265,6 +265,7 @@ def test_each_command_reads_the_files_of_one_session_and_refuses_others(
             assert "same messages" not in found.text
 
 
+@pytest.mark.check("takes 3 s")
 def test_sessions_that_are_compared_count_once_and_not_as_two_of_their_files(source: Path, tmp_path: Path) -> None:
     one = labelled(source, tmp_path / "one.mcap", OF_LAUNCHER, "whole")
     same = labelled(source, tmp_path / "same.mcap", OF_LAUNCHER, "whole")

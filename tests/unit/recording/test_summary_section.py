@@ -112,6 +112,7 @@ def test_a_file_that_was_not_closed_has_no_summary(tmp_path: Path) -> None:
     assert quick_info(written(tmp_path, list(range(450)), finish=False)) is None
 
 
+@pytest.mark.check("takes 3 s")
 def test_no_damage_to_the_summary_ends_in_anything_but_the_other_way(tmp_path: Path) -> None:
     path = written(tmp_path, list(range(450)))
     whole = path.read_bytes()

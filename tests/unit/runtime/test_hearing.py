@@ -326,6 +326,7 @@ def test_a_reader_hears_who_sends_within_two_seconds(
 
 
 @pytest.mark.check("takes 15 s")
+@pytest.mark.drawn(0.4, "telenano/runtime/bus/", "telenano/runtime/wiring/")
 @pytest.mark.parametrize("way", WAYS)
 def test_an_observer_hears_again_what_is_handed_on(
     context: "zmq.Context[zmq.Socket[bytes]]", book: AddressBook, way: str

@@ -285,7 +285,7 @@ def test_a_process_that_would_be_ended_by_the_signal_does_not_get_it(tmp_path: P
 def test_a_process_that_takes_the_signal_gets_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert STOP_SIGNAL is not None
     taken_at: list[int] = []
-    before = signal.signal(STOP_SIGNAL, lambda number, frame: taken_at.append(number))
+    signal.signal(STOP_SIGNAL, lambda number, frame: taken_at.append(number))
     lock = EndpointLock(f"ipc://{tmp_path}/{TIP}")
     try:
         shutil.rmtree(tmp_path)
@@ -299,4 +299,3 @@ def test_a_process_that_takes_the_signal_gets_it(tmp_path: Path, monkeypatch: py
         assert not holder._replace(node="haptic_node@master").signal_stop()
     finally:
         lock.release()
-        signal.signal(STOP_SIGNAL, before)

@@ -1,14 +1,12 @@
 """From a command line to a running node, or to one clear line that says why not."""
 
 import ast
-import gc
-import logging
 import os
 import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, cast
 
@@ -65,22 +63,10 @@ KIND = NodeKind("controller", Config, ordinary(Mortal, Mortal.inputs))
 
 
 @pytest.fixture(autouse=True)
-def _process_restored(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def _without_settings(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in [name for name in os.environ if name.startswith("TELENANO__")]:
         monkeypatch.delenv(name)
-    root = logging.getLogger()
-    handlers, level = root.handlers[:], root.level
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
     Mortal.ended.clear()
-    yield
-    root.handlers[:] = handlers
-    root.setLevel(level)
-    for number, handler in before.items():
-        signal.signal(number, handler)
-    writer = signal.set_wakeup_fd(-1)
-    if writer >= 0:
-        os.close(writer)
-    gc.enable()
 
 
 @pytest.fixture

@@ -571,18 +571,6 @@ def test_a_node_that_was_stopped_does_not_obey_what_waited_for_it(stopped_s: flo
 # --- signals and memory ---
 
 
-@pytest.fixture
-def _signals_restored() -> Iterator[None]:
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
-    writer = signal.set_wakeup_fd(-1)
-    if writer >= 0:
-        os.close(writer)
-
-
-@pytest.mark.usefixtures("_signals_restored")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_stops_the_loop_and_ends_its_wait(number: signal.Signals) -> None:
     stops: list[int] = []

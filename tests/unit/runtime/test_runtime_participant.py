@@ -29,13 +29,10 @@ def book(tmp_path: Path) -> AddressBook:
 
 @pytest.fixture
 def signals() -> Iterator[StopSignals]:
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
     made = StopSignals()
     yield made
     os.close(signal.set_wakeup_fd(-1))
     os.close(made.descriptor)
-    for number, handler in before.items():
-        signal.signal(number, handler)
 
 
 class Idle(Node):

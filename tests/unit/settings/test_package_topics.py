@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -81,14 +80,6 @@ def site(tmp_path: Path) -> Path:
     return tmp_path / "site"
 
 
-@pytest.fixture
-def table() -> Iterator[None]:
-    before = dict(TOPICS)
-    yield
-    TOPICS.clear()
-    TOPICS.update(before)
-
-
 @pytest.mark.check("takes 1.6 s")
 def test_a_topic_of_a_package_is_sent_limited_read_and_recorded_with_its_schema(site: Path, tmp_path: Path) -> None:
     found = json.loads(run_with(RECORD, site, str(tmp_path / "recorded")))
@@ -129,7 +120,7 @@ def test_commands_read_a_recording_with_and_without_the_package(site: Path, tmp_
         assert speeds == [3.5, 200.0]
 
 
-def test_the_recorder_keeps_what_it_does_not_know_and_counts_it(table: None, tmp_path: Path) -> None:
+def test_the_recorder_keeps_what_it_does_not_know_and_counts_it(tmp_path: Path) -> None:
     assert keep_unknown("rain/fall") is not None
     writer = RecordingWriter.create("recorder@master", RecorderConfig(directory=tmp_path))
     channel = writer.channel("rain/fall", "experiment@master", "master")
@@ -141,7 +132,7 @@ def test_the_recorder_keeps_what_it_does_not_know_and_counts_it(table: None, tmp
     assert type(decode("rain/fall", payload)) is Message
 
 
-def test_names_that_are_kept_are_well_formed_new_and_few(table: None) -> None:
+def test_names_that_are_kept_are_well_formed_new_and_few() -> None:
     for name in ("rain", "rain/", "Rain/fall", "rain/fall/slow", "haptic/statex", "haptic/stat", "haptic/state", ""):
         assert keep_unknown(name) is None, name
     letters = "abcdefghijklmnopqrstuvwxyz"
@@ -202,13 +193,13 @@ FAULTS: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("change", "said"), FAULTS, ids=[said[:40] for _, said in FAULTS])
-def test_a_row_that_breaks_a_rule_is_refused_in_a_sentence(table: None, change: dict[str, Any], said: str) -> None:
+def test_a_row_that_breaks_a_rule_is_refused_in_a_sentence(change: dict[str, Any], said: str) -> None:
     with pytest.raises(ValueError, match=said):
         register_topic(dataclasses.replace(GOOD, **change))
     assert "wind/gust" not in TOPICS
 
 
-def test_a_row_that_keeps_the_rules_has_its_messages_encoded_and_decoded(table: None) -> None:
+def test_a_row_that_keeps_the_rules_has_its_messages_encoded_and_decoded() -> None:
     assert register_topic(GOOD) is register_topic(GOOD) is row_of("wind/gust")
     message = Gust(seq=1, t_ns=2, src="experiment@master", v=1, duration_s=0.5)
     assert decode("wind/gust", encode(message)) == message

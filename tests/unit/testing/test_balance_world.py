@@ -75,7 +75,7 @@ def test_a_sample_jumps_there_and_back_and_creeps_ever_slower() -> None:
 
 
 @pytest.mark.check("compiles two laws")
-@pytest.mark.drawn(0.4)
+@pytest.mark.drawn(0.2, "telenano/testing/law_balance/", "telenano/numerics/")
 @pytest.mark.parametrize("name", ["wave", "two_layer"])
 @pytest.mark.parametrize("kind", [*ADVERSE, EVERYTHING])
 def test_an_order_is_the_same_compiled_and_as_plain_python(name: str, kind: str) -> None:

@@ -478,6 +478,7 @@ def _read(frames: list[bytes]) -> dict[str, Any] | None:
     return fields if "dry_run" not in fields and spec_client.conforms(fields, schema, schema) else None
 
 
+@pytest.mark.check("examines a client for 6 s")
 def test_a_client_of_the_specification_passes_over_sockets(tmp_path: Path) -> None:
     with Client(tmp_path) as client:
         findings = {found.rule: found for found in examine(client.address, client.kit, duration_s=6.0)}
@@ -486,6 +487,7 @@ def test_a_client_of_the_specification_passes_over_sockets(tmp_path: Path) -> No
     assert unseen == {"encryption", "strangers", "rate", "last message", "armed hand"}
 
 
+@pytest.mark.check("examines a client for 1.5 s")
 def test_the_command_names_the_mistake_of_a_client_and_fails(tmp_path: Path) -> None:
     # `telenano conformance` is the same function, whose options the documents are compared with
     command = [sys.executable, "-P", "-m", "telenano.testing.conformance", "--duration", "1.5"]
@@ -498,6 +500,7 @@ def test_the_command_names_the_mistake_of_a_client_and_fails(tmp_path: Path) -> 
     assert "SPEC.md" in line
 
 
+@pytest.mark.check("examines a client for 1.5 s")
 @pytest.mark.parametrize("keeps_list", [True, False])
 def test_a_client_with_curve_is_read_and_has_to_refuse_strangers(tmp_path: Path, keeps_list: bool) -> None:
     server, own = zmq.curve_keypair(), zmq.curve_keypair()
@@ -577,6 +580,7 @@ def test_a_flood_ends_with_the_examination_and_is_named(kind: str, tmp_path: Pat
     assert grown < 20e6
 
 
+@pytest.mark.check("takes 1.3 s")
 def test_no_more_of_a_client_waits_than_the_mark_says(tmp_path: Path) -> None:
     """ZeroMQ keeps what is not read yet in memory, with a mark of nought all of it."""
     address = f"ipc://{tmp_path}/client"

@@ -90,3 +90,22 @@ def test_a_recording_knows_what_the_clock_was_at_each_time(name: str) -> None:
     ahead_s = np.array([CASES[name].ahead_s(time_s) for time_s in times_s.tolist()])
     stamps = BEGAN_NS + np.rint((times_s + ahead_s) * 1e9).astype(np.int64)
     assert np.abs(clock.ahead_ns(stamps) / 1e9 - ahead_s).max() < 1e-3
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_search_for_a_step_ends_where_the_recorder_was_set_as_well(seed: int) -> None:
+    # The recorder's clock is set back as well, so what it records in an interval may be dated before or after that.
+    dice = random.Random(seed)
+    set_ns, by_ns = BEGAN_NS + round(SET_S * 1e9), round(dice.uniform(-60.0, 60.0) * 1e9)
+    of, reads = exchanges(CASES[dice.choice(["set forward by 0.2 s", "set back by 3 s and 500 ppm fast"])]), []
+
+    def read(first_ns: int, last_ns: int) -> Bounds | None:
+        reads.append(first_ns)
+        assert len(reads) < 200
+        part = [one for one in of if first_ns <= one[0] - by_ns * (one[0] >= set_ns) < last_ns]
+        upper = [(sent_ns, there_ns - sent_ns) for sent_ns, there_ns, _, _ in part]
+        return bounds_of(upper, [(received_ns, back_ns - received_ns) for _, _, back_ns, received_ns in part])
+
+    read_ns = range(BEGAN_NS - 60 * 10**9, BEGAN_NS + round((LENGTH_S + 60.0) * 1e9), 4 * 10**9)
+    pieces = [piece for at_ns in read_ns if (piece := read(at_ns, at_ns + 4 * 10**9)) is not None]
+    knots(stretches(pieces), read)

@@ -60,6 +60,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.check("takes 1.7 s")
 def test_a_seed_gives_the_same_messages_at_the_same_times_and_another_seed_others(tmp_path: Path) -> None:
     found = [digest(session(tmp_path / str(n), seed=seed)[0].recordings[0]) for n, seed in enumerate((5, 5, 6))]
     assert found[0] == found[1] != found[2]
@@ -164,6 +165,7 @@ def test_a_real_device_is_refused(tmp_path: Path, setting: str, key: str) -> Non
         session(tmp_path, settings=(*SETTINGS, setting))
 
 
+@pytest.mark.check("takes 3 s")
 def test_where_the_operator_is_a_person_nothing_pushes_the_hand_and_it_is_said(tmp_path: Path) -> None:
     scan = "0.2 set afm_node@slave program=scan scan.pixels=8"
     outcome, (said,) = session(tmp_path, scenario="image", duration_s=0.8, settings=(), at=(scan,))

@@ -24,7 +24,6 @@ from telenano.serving.panels import Panels, installed_panels
 from telenano.serving.serve import addresses_of
 from telenano.settings.plugins import LoadedEntries
 from telenano.wire import DurationS, Message, RefusedError, Topic, about
-from telenano.wire.topics import OWN_TOPICS as TOPICS
 from telenano.wire.topics import register_topic
 
 ACCESS = replace(PAGES, participant_token="guest-token-000001")
@@ -80,7 +79,7 @@ class Outlet:
 
 
 @pytest.fixture
-def panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Panel]:
+def panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Panel:
     folder = tmp_path / "wind" / "web"
     (folder / "icons").mkdir(parents=True)
     for name in ("wind.js", "wind.css", "icons/a.svg", "guest.html", "secret.py", "key"):
@@ -92,11 +91,8 @@ def panel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Panel]:
     for module in (hub, feed, source):
         monkeypatch.setattr(module, "installed_panels", lambda: panels)
     monkeypatch.setattr("telenano.serving.serve.installed_panels", lambda: panels)
-    before = dict(TOPICS)
     register_topic(Topic("wind/speed", WindSpeed, ("view",), "lossless", None, None, None))
-    yield found
-    TOPICS.clear()
-    TOPICS.update(before)
+    return found
 
 
 @pytest.fixture

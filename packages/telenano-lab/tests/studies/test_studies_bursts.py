@@ -40,6 +40,7 @@ def held(law: str, stiffness: float, direction: dict[str, Any], hand: str = "for
 
 # finding A: -44.3 mJ and 32.7 N at 80 N/m over slots of 30 ms, -10.2 mJ at 150 N/m over 60 ms
 @pytest.mark.check("a grid of slots and laws")
+@pytest.mark.drawn(0.6, "telenano/laws/", "telenano/link/")
 @pytest.mark.parametrize("law", ["wave", "passivity"])
 @pytest.mark.parametrize(("stiffness", "slot_s"), [(40.0, 0.06), (80.0, 0.03), (80.0, 0.06), (150.0, 0.06)])
 def test_slots_make_no_energy_and_press_no_harder_than_the_hand(law: str, stiffness: float, slot_s: float) -> None:
