@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from telenano.analysis.envelope import WINDOWS, by_envelope, envelope_of, recurs, sizes_of, turns_of
 from telenano.analysis.findings import Cause, Finding, on_its_way
-from telenano.analysis.modes import LINE_OVER_NOISE, Mode, centred, rms
+from telenano.analysis.modes import LEAST_SAMPLES, LINE_OVER_NOISE, Mode, centred, rms
 from telenano.analysis.motion_fit import (
     MAY_LAST,
     Fate,
@@ -148,12 +148,15 @@ def by_parts(motion: Motion) -> tuple[Finding | None, Doubt | None, list[Window]
 def beside(earlier: list[Window], found: Finding | None, window: Window, motion: Motion) -> Finding | None:
     """Return what a last part says beside the parts that it is in the end of; None where it says nothing new.
 
-    | the part           | the parts before it                                  | it says           |
+    | the part                             | the parts before it                                 | it says             |
     |---|---|---|
-    | is at rest         | show a swing that it would not                       | nothing           |
-    | goes on, or grows  | fall twice, and it does not surely change otherwise  | what the first says |
-    | goes on, or grows  | fall once, and it does not surely change otherwise   | a doubt           |
-    | is anything else   | are anything                                         | what it says      |
+    | is at rest                           | show a swing that it would not                      | nothing             |
+    | goes on, or grows, by too many modes | are anything                                        | a doubt             |
+    | goes on, or grows                    | fall twice, and it does not surely change otherwise | what the first says |
+    | goes on, or grows                    | fall once, and it does not surely change otherwise  | a doubt             |
+    | is anything else                     | are anything                                        | what it says        |
+
+    Modes are too many where each has fewer than LEAST_SAMPLES: they would fit any noise.
     """
     if found is None:
         return None
@@ -163,11 +166,13 @@ def beside(earlier: list[Window], found: Finding | None, window: Window, motion:
         )
         lasting_n, at_hz = (0.0, 0.0) if falls else _lasting(earlier, MAY_LAST)
         return None if lasting_n and not _shows_rest(found, lasting_n, at_hz, window) else found
+    if found.kind != "cannot_say" and len(window.fit.left) < LEAST_SAMPLES * len(window.fit.modes):
+        return _as_doubt(found, window)
     if not _falls_as_before(found, window, earlier):
         return found
     before = [decided_by_modes(own) for own in earlier if explains(own, motion.hand_n)]
     stable = [own for own in before if own.kind == "stable"]
-    return stable[0] if len(stable) > 1 else _as_doubt(found)
+    return stable[0] if len(stable) > 1 else _as_doubt(found, window)
 
 
 def _is_less_at_end(motion: Motion) -> bool:
@@ -177,8 +182,8 @@ def _is_less_at_end(motion: Motion) -> bool:
     return turns < WINDOWS or sizes[-1] < sizes[-2]
 
 
-def _as_doubt(found: Finding) -> Finding:
-    return found._replace(kind="cannot_say", cause=Cause.CHANGE_UNKNOWN)
+def _as_doubt(found: Finding, window: Window) -> Finding:
+    return found._replace(kind="cannot_say", cause=Cause.CHANGE_UNKNOWN, needs_s=2.0 * window.length_s)
 
 
 def _falls_as_before(found: Finding, window: Window, earlier: list[Window]) -> bool:
@@ -306,7 +311,7 @@ def _swing_at_the_end(motion: Motion, window: Window) -> Finding | None:
         return None
     found = decided_by_modes(half)
     if found.kind in ("limit_cycle", "diverged"):
-        return found if leaves_noise(half) else _as_doubt(found)
+        return found if leaves_noise(half) else _as_doubt(found, half)
     # A fit that leaves noise alone knows a swing by one turn. What stands out for less may be a hand that wanders.
     is_swing = (found.frequency_hz or 0.0) * half.length_s >= (0.5 if leaves_noise(half) else 1.0) * LEAST_TURNS
     is_seen = any(half.cycles(mode) >= 1.0 for mode in half.fit.modes if mode.end_n > motion.small_n)

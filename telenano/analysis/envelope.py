@@ -9,7 +9,7 @@ import numpy.typing as npt
 from telenano.analysis.findings import Cause, Finding, on_its_way
 from telenano.analysis.modes import centred, rms
 from telenano.analysis.motion_fit import Fate, Motion, coloured_share
-from telenano.analysis.read_out import gone_of, moved_of
+from telenano.analysis.read_out import gone_of, moved_of, reach_of
 from telenano.analysis.verdict_thresholds import ERROR_SHARE, LEAST_CHANGE, LEAST_TURNS, LEFT_SHARE, SURE_ERRORS
 
 Series = npt.NDArray[np.float64]
@@ -66,7 +66,8 @@ def by_envelope(motion: Motion) -> Finding:
     if fate is Fate.FALLING:
         return Finding("stable", Cause.DIES_OUT, sizes[-1], rate, sizes[-1])
     goes_on = fate is Fate.LASTING and sizes[-1] > _LEAST_END * late.size_n
-    if goes_on or (recurs(sizes, small_n) and max(sizes[-3:]) > 0.5 * max(sizes)):
+    hidden_n = 2.0 * reach_of(motion.noise_n, len(values) // WINDOWS)
+    if goes_on or (recurs(sizes, small_n, hidden_n) and max(sizes[-3:]) > 0.5 * max(sizes)):
         return late._replace(kind="limit_cycle", cause=Cause.IRREGULAR)
     return late
 
@@ -129,9 +130,13 @@ def turns_of(values: Series) -> float:
     return float(1 + np.argmax(np.abs(np.fft.rfft(centred(values) * window))[1:]))
 
 
-def recurs(sizes: list[float], small_n: float) -> bool:
-    """Return whether a motion began at least twice after a rest, as a cycle of snaps does, and a landing does not."""
-    return sum(before <= small_n and after > 2.0 * small_n for before, after in pairwise(sizes)) >= LEAST_TURNS
+def recurs(sizes: list[float], small_n: float, hidden_n: float = 0.0) -> bool:
+    """Return whether a motion began at least twice after a rest, as a cycle of snaps does, and a landing does not.
+
+    A window that noise hides in part, by so much [N], may seem to rest.
+    """
+    begun_n = 2.0 * max(small_n, hidden_n)
+    return sum(before <= small_n and after > begun_n for before, after in pairwise(sizes)) >= LEAST_TURNS
 
 
 def falls_as_noise(values: Series, noise_n: float) -> bool:

@@ -159,9 +159,9 @@ def fitted(values: Series, period_s: float, floor_n: float) -> Fit:
             if 0.0 < turn < _REAL_TURN:
                 # Less than half a swing is mostly an exponential, which has two unknowns less.
                 real = _refined(times, bare, [*more.poles[:place], (growth, 0.0), *more.poles[place + 1 :]])
-                level = max(_level(more.left, turn), floor**2, more.mean)
+                level = max(line_level(more.left, turn, not state.poles), floor**2, more.mean)
                 more = real if real.power - more.power < 2.0 * LINE_OVER_NOISE * level else more
-        level = max(_level(more.left, more.poles[-1][1]), floor**2)
+        level = max(line_level(more.left, more.poles[-1][1], not state.poles), floor**2)
         if state.power - more.power < 2.0 * LINE_OVER_NOISE * level or state.rms <= floor:
             whole = True
             break
@@ -170,19 +170,43 @@ def fitted(values: Series, period_s: float, floor_n: float) -> Fit:
     return Fit(_modes(times, bare, state, length_s, scale), rest_n, scale * state.left, motion, noise, whole)
 
 
-def _level(left: Series, turn: float) -> float:
-    """Return the power of a line of noise at a turn [rad in the stretch]; for white noise, this is its variance.
+def line_level(left: Series, turn: float, alone: bool) -> float:
+    """Return the power by which a line at a turn [rad in the stretch] is measured; for white noise, its variance.
 
-    It comes from the median of the octave about the turn, which lines do not raise. Below the fourth bin it continues
-    as 1/f if the noise rises towards low frequencies.
+    An octave of few bins has little power by chance, but noise has no less at a low frequency than at a higher one. So
+    the level is no less than the median of all bins, and for a line that is alone than that of an octave above. Beside
+    other modes, an octave above may have the power of their motion.
+    """
+    medians = _medians(left, turn)
+    return _at_turn(max(medians) if alone else max(medians[0], medians[-1]), medians[-1], turn)
+
+
+def _level(left: Series, turn: float) -> float:
+    """Return the power of a line of noise at a turn [rad in the stretch]; for white noise, this is its variance."""
+    medians = _medians(left, turn)
+    return _at_turn(medians[0], medians[-1], turn)
+
+
+def _at_turn(median: float, white: float, turn: float) -> float:
+    """Return the mean power at a turn [rad in the stretch] from the median of an octave and that of white noise.
+
+    Below the fourth bin it continues as 1/f if the noise rises towards low frequencies.
+    """
+    rise = _LEAST_BIN / max(turn / (2.0 * math.pi), 0.5)
+    return median / math.log(2.0) * max(1.0, min(rise, median / max(white, 1e-300)))
+
+
+def _medians(left: Series, turn: float) -> list[float]:
+    """Return the median of the power about a turn [rad in the stretch], of each octave above, and of all lines.
+
+    Lines do not raise medians.
     """
     window = 0.5 - 0.5 * np.cos(2.0 * np.pi * (np.arange(len(left)) + 0.5) / len(left))
     power = np.abs(np.fft.rfft(left * window)) ** 2 / _total(window * window)
-    cycles = max(turn / (2.0 * math.pi), 0.5)
-    middle = min(max(cycles, _LEAST_BIN), len(power) / 1.5)
-    octave = power[int(middle / math.sqrt(2.0)) : int(middle * math.sqrt(2.0)) + 2]
-    level, white = float(np.median(octave)), float(np.median(power))
-    return level / math.log(2.0) * max(1.0, min(middle / cycles, level / max(white, 1e-300)))
+    first = min(max(turn / (2.0 * math.pi), _LEAST_BIN), len(power) / 1.5)
+    middles = [first * 2.0**k for k in range(1 + int(math.log2(len(power) / 1.4 / first)))]
+    octaves = [power[int(middle / math.sqrt(2.0)) : int(middle * math.sqrt(2.0)) + 2] for middle in middles]
+    return [float(np.median(own)) for own in [*octaves, power]]
 
 
 class _State(NamedTuple):

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.analysis.modes import LEAST_SAMPLES, centred, noise_floor
+from telenano.analysis.verdict_thresholds import LEAST_TURNS
 
 Series = npt.NDArray[np.float64]
 # eighths in which a way is looked for [1]
@@ -13,10 +14,14 @@ _WAY_PARTS = 8
 
 
 def rounding_of(values: Series) -> float:
-    """Return the step of a read-out that rounds [N]; 0 of one that does not."""
-    steps = np.abs(np.diff(values))
+    """Return the step of a read-out that rounds [N]; 0 of one that does not.
+
+    Two values that do not alternate show no step: a tip that lands and rests changes its force once.
+    """
+    steps, count = np.abs(np.diff(values)), len(np.unique(values))
     moved = steps[steps > 0.0]
-    return float(moved.min()) if len(moved) and len(np.unique(values)) < len(values) / 4 else 0.0
+    is_landing = count <= 2 and len(moved) < 2.0 * LEAST_TURNS
+    return float(moved.min()) if not is_landing and count < len(values) / 4 else 0.0
 
 
 def noise_of(values: Series, step_n: float) -> float:

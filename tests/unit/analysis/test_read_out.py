@@ -31,6 +31,14 @@ def test_a_read_out_rounds_where_fewer_than_a_fourth_of_its_values_differ() -> N
     assert rounding_of(np.ones(COUNT)) == rounding_of(np.ones(1)) == 0.0
 
 
+def test_a_force_that_changes_between_two_values_rounds_if_it_turns_twice() -> None:
+    """A landing changes the force once, a lift-off once more: these are no steps of the read-out."""
+    for changes, step_n in ((1, 0.0), (2, 0.0), (3, 0.0), (4, 0.8)):
+        assert rounding_of(0.8 * (np.arange(COUNT) * (changes + 1) // COUNT % 2)) == step_n
+    # Three values have a step as well, however seldom they change.
+    assert rounding_of(np.repeat([0.0, 0.3, 0.2], COUNT)) == pytest.approx(0.1)
+
+
 def test_the_noise_of_a_read_out_is_no_less_than_that_of_its_steps() -> None:
     quiet, loud = white(0.02, 2), white(0.02, 3)
     assert noise_of(quiet, 0.0) == pytest.approx(0.02, rel=0.1)

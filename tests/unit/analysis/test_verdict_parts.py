@@ -394,3 +394,13 @@ def test_a_short_part_says_only_what_it_surely_tells_otherwise(
     window = Window(1.0, 8.0, 0.05, 0.0, 0.05, values, fit())
     said = beside([before], found, window, motion(values))
     assert said is not None and said.kind == kind
+
+
+@pytest.mark.parametrize(("modes", "kind"), [(2, "limit_cycle"), (3, "cannot_say")])
+def test_a_short_part_with_fewer_than_sixteen_samples_for_each_mode_leaves_a_doubt(modes: int, kind: str) -> None:
+    fitted = fit()._replace(modes=[line(growth_per_s=0.0)] * modes, left=np.zeros(40))
+    part = Window(1.0, 8.0, 0.05, 0.0, 0.05, np.ones(40), fitted)
+    said = beside([], Finding("limit_cycle", Cause.GOES_ON, 0.3, 0.0, 0.3, 0.01, 5.0), part, motion(np.ones(400)))
+    assert said is not None and said.kind == kind
+    # A doubt states the length of a hold that would decide.
+    assert said.needs_s == (2.0 if kind == "cannot_say" else 0.0)
