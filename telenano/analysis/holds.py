@@ -708,7 +708,7 @@ def _interrupted(session: _Session, span_s: Span, lacking: Sequence[Lack], share
     causes = [*map(str, lacking)] if lacking else [in_words(own)] if own else []
     first_s, last_s = (lacking[0].start_s, lacking[-1].end_s) if lacking else span_s
     causes += _causes(session.known, first_s, last_s)
-    words = "; ".join([*causes, f"hand and tip were both in it for {100.0 * share:.0f} % of the hold"])
+    words = "; ".join([*causes, f"hand and tip were coupled for {100.0 * share:.0f} % of the hold"])
     if verdict.kind in ("diverged", "limit_cycle"):
         return verdict._replace(reason=f"{words}; {verdict.reason}")
     return verdict._replace(kind="guarded", reason=words)

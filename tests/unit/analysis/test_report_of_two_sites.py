@@ -354,7 +354,7 @@ def test_a_hold_is_judged_with_its_hand_and_the_cause_of_its_absence_comes_first
     if verdict == "guarded":
         cause = f"the hand was let go once, at 2.950 s, for {1e3 * (back_s - 2.95):.0f} ms"
         assert summary["reason"].startswith(cause)
-        assert f"hand and tip were both in it for {share} of the hold" in hold["reason"]
+        assert f"hand and tip were coupled for {share} of the hold" in hold["reason"]
         assert "the hand held" not in said
     else:
         assert said.endswith(f"N for each newton at the tip, in the {share} of the hold in which both were in it")
