@@ -154,6 +154,17 @@ MENDED = {
         {"at_s": 2.0, "kind": "law", "law": "virtual_impedance"},
         {"at_s": 2.3, "kind": "kill", "node": "controller@master", "after": 0, "torn": 0.0},
     ),
+    "a link that was started again tells no lead of the clocks before it has measured them": Schedule(
+        1,
+        "wave",
+        0.02,
+        0.01,
+        (
+            {"at_s": 0.0, "kind": "clock", "ahead_s": -0.2, "drift_ppm": 0},
+            {"at_s": 1.536, "kind": "kill", "node": LINK, "after": 0, "torn": 0.0},
+        ),
+        100.0,
+    ),
     "a queue that stands before a narrow line is a part of the way": Schedule(
         14000468,
         "virtual_impedance",

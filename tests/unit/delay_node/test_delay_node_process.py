@@ -205,6 +205,10 @@ def test_offset_of_the_other_clock_is_measured_with_its_uncertainty(
     expected_s = injected_ns * 1e-9 + 0.5e-3 * (there_ms - back_ms)
     assert clock.offset_s == pytest.approx(expected_s, rel=1e-6, abs=0.0)
     assert abs(clock.offset_s - injected_ns * 1e-9) <= clock.uncertainty_s
+    # nothing is told before the clock is measured: with no lead, an old sample could count as fresh
+    ahead_ns = [row["clock_ahead_ns"] for outlet in (link.to_slave, link.to_master) for row in declared(outlet)]
+    assert ahead_ns == pytest.approx([injected_ns] * len(ahead_ns), rel=0.01, abs=0.0)
+    assert len(ahead_ns) > 3
     # so a message on the shortest way seems as old as half the round trip, whatever the way back takes
     told = declared(link.to_slave)[-1]
     assert told["transit_ns"] == pytest.approx(0.5e6 * (there_ms + back_ms), rel=1e-6, abs=0.0)
