@@ -243,9 +243,17 @@ class DelayNode(ImpairedLink):
     def _declare(self, way: DirectionPath) -> None:
         """Publish the delay of a direction at the master's site, and the forward delay at the slave's site too."""
         fields = {"direction": way.name, **self._declared(way).current._asdict()}
-        if way is self.forward:
+        if way is self.forward and self._knows_clocks:
             way.outlet.publish("link/delay", **fields, **self.memory.between.at_slave())
         self.backward.outlet.publish("link/delay", **fields, **self.memory.between.at_master())
+
+    @property
+    def _knows_clocks(self) -> bool:
+        """Whether this process knows the lead of the slave's clock, without which a stale sample may look fresh there.
+
+        Until the first exchange of a new process, readers at the slave's site keep what the process before has told.
+        """
+        return not self._spans_machines or bool(self.offset.state.blocks)
 
     def _declare_forward(self) -> None:
         if self._spans_machines:
@@ -285,11 +293,12 @@ class DelayNode(ImpairedLink):
 
     def _take_answer(self, pong: ClockPong, received_ns: int) -> None:
         self.memory.answer = (pong.t_ns, received_ns)
+        knew_clocks = self._knows_clocks
         is_longer = self.offset.record(pong.ping_t_ns, pong.received_ns, *self.memory.answer)
         in_doubt = self.offset.present.is_in_doubt
         self.memory.questions.answer(received_ns - self.clock.epoch_offset_ns, in_doubt=in_doubt, is_longer=is_longer)
-        if is_longer and self._spans_machines:
-            # Tell the readers at once: until then their guards reject samples that the longer line makes older.
+        if self._spans_machines and (is_longer or knew_clocks != self._knows_clocks):
+            # Tell the readers at once: until then their guards reject samples that the line or a clock makes older.
             self._declare_forward()
             self._declare(self.backward)
 

@@ -234,6 +234,20 @@ def test_a_plain_bridge_tells_its_delay_with_its_status_and_costs_no_message(lin
     assert pairs(link.to_master) == [("forward", 0, 0, 0), ("backward", 0, 0, 0)] * 2
 
 
+def test_between_machines_the_slaves_site_is_told_nothing_before_the_clocks_are_known(bench_of: Any) -> None:
+    link = Link(bench_of("delay_node@master"), LinkSettings(), spans_machines=True)
+    link.pass_ms(250.0)
+    forward(link, 1)
+    assert declared(link.to_slave) == []
+    assert pairs(link.to_master)
+    # The clock of the slave is 200 ms behind, and each way takes 10 ms: the first answer is enough to tell it at once.
+    now_ns, ahead_ns = link.bench.clock.now_ns(), -200_000_000
+    stamp_ns = now_ns - 10_000_000 + ahead_ns
+    times = {"ping_t_ns": now_ns - 20_000_000, "received_ns": stamp_ns}
+    link.node.on_message(_with_stamp(link.bench.received("clock/pong", "afm_node@slave", **times), stamp_ns))
+    assert pairs(link.to_slave) == [("forward", 0, 0, ahead_ns)]
+
+
 def test_a_delay_is_told_before_the_first_message_that_it_applies_to(link_of: Any) -> None:
     link = link_of(forward={"delay_s": 0.0202}, backward={"delay_s": 0.005})
     known = {"separation_m": 0.0, "separation_valid": False, "in_contact": False}
