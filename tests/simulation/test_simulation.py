@@ -165,6 +165,37 @@ MENDED = {
         ),
         100.0,
     ),
+    "a link that was started again tells of no clocks before it knows them": Schedule(
+        15000195,
+        "wave",
+        0.02,
+        0.01,
+        (
+            {"at_s": 0.0, "kind": "clock", "ahead_s": -0.2, "drift_ppm": 0},
+            {"at_s": 1.536, "kind": "kill", "node": LINK, "after": 0, "torn": 0.0},
+        ),
+        100.0,
+    ),
+    "the messages of a turn are judged in the order of sending": Schedule(
+        15000213,
+        "virtual_impedance",
+        0.05,
+        0.0,
+        (
+            {"at_s": 1.68, "kind": "arm", "target": "tip", "place": False},
+            {"at_s": 1.695, "kind": "delay", "forward_s": 0.01, "backward_s": 0.03},
+            {"at_s": 1.709, "kind": "press", "site": "master", "target": TIP.partition("@")[0]},
+        ),
+        250.0,
+    ),
+    "a tip that the start of the session places was not moved by an earlier arming": Schedule(
+        15200063,
+        "virtual_impedance",
+        0.05,
+        0.01,
+        ({"at_s": 0.52, "kind": "arm", "target": "tip", "place": False},),
+        100.0,
+    ),
 }
 
 
