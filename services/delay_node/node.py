@@ -36,17 +36,17 @@ class DelayNodeState(msgspec.Struct, array_like=True, kw_only=True):
     """The state of the node, which the node changes in place, except `engine`.
 
     engine: written only when the state is captured, because its models also hold values derived from the settings;
-    forward_delay, backward_delay: the delays as published; between: transit time and clocks between the sites, None
-    before they are measured; clock: the exchanges of time stamps by second; answer: times of sending and reception of
-    the newest answer [ns], 0 before it; session_id: the command that began the session; status_ns, unreported: time of
-    the next report [ns], and the number of messages that it will count; stop: the emergency stop that the instrument
-    has not obeyed yet; questions: the times of the questions for the other site's time.
+    forward_delay, backward_delay: the delays as published; between: transit time and clocks between the sites; clock:
+    the exchanges of time stamps by second; answer: times of sending and reception of the newest answer [ns], 0 before
+    it; session_id: the command that began the session; status_ns, unreported: time of the next report [ns], and the
+    number of messages that it will count; stop: the emergency stop that the instrument has not obeyed yet; questions:
+    the times of the questions for the other site's time.
     """
 
     engine: LinkState
     forward_delay: DeclaredDelay
     backward_delay: DeclaredDelay
-    between: BetweenSites | None
+    between: BetweenSites = ONE_MACHINE
     clock: OffsetState
     answer: tuple[int, int] = (0, 0)
     session_id: str = ""
@@ -102,7 +102,6 @@ class DelayNode(ImpairedLink):
             engine=self.engine.capture(),
             forward_delay=DeclaredDelay(DECLARED[self.forward.name]),
             backward_delay=DeclaredDelay(DECLARED[self.backward.name]),
-            between=None if spans_machines else ONE_MACHINE,
             clock=self.offset.state,
             status_ns=self.memory.status_ns,
             unreported=0,
@@ -116,7 +115,7 @@ class DelayNode(ImpairedLink):
     def deadline_ns(self) -> int:
         due_ns = min(super().deadline_ns(), self._stop.due_ns)
         if self._spans_machines:
-            due_ns = min(due_ns, self.memory.questions.due_ns(self._round_trip_ns))
+            due_ns = min(due_ns, self.memory.questions.due_ns(2 * self.memory.between.transit_ns))
         return due_ns
 
     def on_message(self, received: Received) -> None:
@@ -157,7 +156,7 @@ class DelayNode(ImpairedLink):
         self.begin_turn(now_ns)
         self.send_due(now_ns)
         self._send_stop(now_ns)
-        if self._spans_machines and self.memory.questions.take(now_ns, self._round_trip_ns):
+        if self._spans_machines and self.memory.questions.take(now_ns, 2 * self.memory.between.transit_ns):
             self._ask()
         self.report_if_due(now_ns)
 
@@ -241,28 +240,24 @@ class DelayNode(ImpairedLink):
     def _declared(self, way: DirectionPath) -> DeclaredDelay:
         return self.memory.forward_delay if way is self.forward else self.memory.backward_delay
 
-    @property
-    def _round_trip_ns(self) -> int:
-        """The round trip between two machines [ns]; 0 before it is measured."""
-        return 2 * self.memory.between.transit_ns if self.memory.between else 0
-
     def _declare(self, way: DirectionPath) -> None:
-        """Publish the delay of a direction at the master's site, and the forward delay at the slave's site too.
-
-        Before the clocks of two machines are measured, nothing is published, and readers go on by what an earlier
-        process of the link has told: with another lead of the clock, an old sample could count as fresh.
-        """
-        between = self.memory.between
-        if between is None:
-            return
+        """Publish the delay of a direction at the master's site, and the forward delay at the slave's site too."""
         fields = {"direction": way.name, **self._declared(way).current._asdict()}
-        if way is self.forward:
-            way.outlet.publish("link/delay", **fields, **between.at_slave())
-        self.backward.outlet.publish("link/delay", **fields, **between.at_master())
+        if way is self.forward and self._knows_clocks:
+            way.outlet.publish("link/delay", **fields, **self.memory.between.at_slave())
+        self.backward.outlet.publish("link/delay", **fields, **self.memory.between.at_master())
+
+    @property
+    def _knows_clocks(self) -> bool:
+        """Whether this process knows the lead of the slave's clock, without which a stale sample may look fresh there.
+
+        Until the first exchange of a new process, readers at the slave's site keep what the process before has told.
+        """
+        return not self._spans_machines or bool(self.offset.state.blocks)
 
     def _declare_forward(self) -> None:
         if self._spans_machines:
-            self.memory.between = between_sites(self.offset) or self.memory.between
+            self.memory.between = between_sites(self.offset)
             self._tell_change()
             self._tell_clock()
         self._declare(self.forward)
@@ -298,11 +293,12 @@ class DelayNode(ImpairedLink):
 
     def _take_answer(self, pong: ClockPong, received_ns: int) -> None:
         self.memory.answer = (pong.t_ns, received_ns)
+        knew_clocks = self._knows_clocks
         is_longer = self.offset.record(pong.ping_t_ns, pong.received_ns, *self.memory.answer)
         in_doubt = self.offset.present.is_in_doubt
         self.memory.questions.answer(received_ns - self.clock.epoch_offset_ns, in_doubt=in_doubt, is_longer=is_longer)
-        if is_longer and self._spans_machines:
-            # Tell the readers at once: until then their guards reject samples that the longer line makes older.
+        if self._spans_machines and (is_longer or knew_clocks != self._knows_clocks):
+            # Tell the readers at once: until then their guards reject samples that the line or a clock makes older.
             self._declare_forward()
             self._declare(self.backward)
 

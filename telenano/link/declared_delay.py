@@ -73,8 +73,8 @@ class BetweenSites(NamedTuple):
 ONE_MACHINE = BetweenSites(0, 0)
 
 
-def between_sites(offset: OffsetFilter) -> BetweenSites | None:
-    """Return the state of the line between two machines, from the exchanges of time stamps; None before the first.
+def between_sites(offset: OffsetFilter) -> BetweenSites:
+    """Return the state of the line between two machines, from the exchanges of time stamps.
 
     The apparent delay of the fastest question is the lead of the slave's clock plus the least transit. Whatever lead is
     assumed, the rest counts as transit, so that an error of the offset does not change the age of samples. If the
@@ -82,7 +82,7 @@ def between_sites(offset: OffsetFilter) -> BetweenSites | None:
     """
     estimate, there_ns = offset.estimate(), offset.there_ns()
     if estimate is None or there_ns is None:
-        return None
+        return ONE_MACHINE
     ahead_s = estimate.offset_s if abs(estimate.offset_s) > estimate.uncertainty_s else 0.0
     # A transit is never negative.
     ahead_ns = min(round(1e9 * ahead_s), there_ns)

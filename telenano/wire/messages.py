@@ -481,8 +481,8 @@ class LinkDelay(Message):
     """Delay that the way between the sites adds to the age of the hand's samples, from one sample on.
 
     The link sends it before the first message that descends from that sample, whenever the delay changes by a step,
-    and with every link/status; between two machines only once it has measured their clocks. It tells a reader which
-    part of an age is the experiment's delay, and which a fault.
+    and with every link/status; to the slave's site of two machines only once it has measured their clocks. It tells a
+    reader which part of an age is the experiment's delay, and which a fault.
     """
 
     direction: Annotated[Literal["forward", "backward"], about("forward: from the master to the slave")]

@@ -324,7 +324,7 @@ class _Run:
             self.declare()
 
     def declare(self) -> None:
-        self.between = between_sites(self.offset) or self.between
+        self.between = between_sites(self.offset)
         self.master_transit_ns = 2 * self.between.transit_ns
         lag_ns = self.between.there_ns + self.between.clock_ahead_ns
         arrives_ns = self.tcp_there_ns = self.over_tcp(self.there, self.tcp_there_ns, QUESTION_BYTES)

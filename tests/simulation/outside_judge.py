@@ -74,9 +74,11 @@ class Session:
         # Time of sending and checksum of each message; times, numbers and stamps of each publisher and topic.
         self.ledger: dict[tuple[str, str, int, int], tuple[float, int]] = {}
         self.sent: dict[tuple[str, str], list[tuple[float, int, int]]] = defaultdict(list)
+        newest_ns = defaultdict[str, int](int)  # The ledger is in the order of sending; the times of a turn are not.
         for src, topic, seq, t_ns, sent_ns, crc in msgpack.unpackb((folder / "ledger.msgpack").read_bytes()):
-            self.ledger[src, topic, seq, t_ns] = sent_ns * 1e-9, crc
-            self.sent[src, topic].append((sent_ns * 1e-9, seq, t_ns))
+            newest_ns[src] = max(sent_ns, newest_ns[src] + 1)
+            self.ledger[src, topic, seq, t_ns] = newest_ns[src] * 1e-9, crc
+            self.sent[src, topic].append((newest_ns[src] * 1e-9, seq, t_ns))
         self.seen, self.statistics = list[Seen](), list[tuple[str, int, int]]()
         for site, place in (("master", folder), ("slave", folder / "far")):
             for path in sorted(place.glob("session*.mcap")):
@@ -157,7 +159,7 @@ def _is_known(missing_s: list[float], from_s: float, to_s: float) -> bool:
 
 
 def judge_tip(session: Session) -> Iterator[Break]:
-    """Check: no late command moves the tip; it is held and withdrawn in time; it follows only a hand that feels."""
+    """Check: no command in force is late; the tip is held and withdrawn in time; it follows only a hand that feels."""
     states = session.direct[TIP, "afm/state"]
     armed = Newest([one for one in session.direct["controller@slave", "afm/command"] if one.fields.get("hand_armed")])
     lost, lost_hands = session.missing("controller@slave", "afm/command"), session.missing(HAND, "haptic/state")
@@ -176,13 +178,11 @@ def judge_tip(session: Session) -> Iterator[Break]:
             continue
         if state.fields.get("device") == before.fields.get("device") == "lost":
             yield Break("safe_in_time", at_s, "the tip follows although the instrument is lost")
-        # After a stall, a device could obey what waits for it one by one, while there is a newer command.
-        hand_s = (min(one.fields["hand_t_ns"] for one in (newest, state)) - session.epoch_ns) * 1e-9
+        old_s = at_s - (min(one.fields["hand_t_ns"] for one in (newest, state)) - session.epoch_ns) * 1e-9
         allowed_s = DEADLINE_S + session.grain_s + session.way_s("forward", at_s)
-        if at_s - hand_s > allowed_s:
+        if old_s > allowed_s:
             name = "nothing_late" if state.depth_m - before.depth_m > 1e-12 else "safe_in_time"
-            text = f"a sample of {1e3 * (at_s - hand_s):.0f} ms, of {1e3 * allowed_s:.0f} allowed"
-            yield Break(name, at_s, f"the tip follows {text}")
+            yield Break(name, at_s, f"the tip follows a sample of {1e3 * old_s:.0f} ms, {1e3 * allowed_s:.0f} allowed")
         unfelt_s = at_s - max(drives.time_of(at_s), follows_s)
         if unfelt_s > UNFELT_S + session.trip_s(at_s) and _is_known(lost_hands, at_s - unfelt_s, at_s):
             yield Break("felt_hand", at_s, f"the tip follows a hand that has felt nothing for {unfelt_s:.2f} s")
@@ -207,11 +207,11 @@ def judge_stops(session: Session) -> Iterator[Break]:
     """Check: after a stop nothing arms without a person; arming moves nothing; a stop is answered or kept."""
     given = {act["sender"]: (act["at_s"], act["name"]) for act in session.acts if act["what"] == "command"}
     presses = {act["id"]: act for act in session.acts if act["what"] == "press"}
-    acks: set[tuple[str, str]] = set()
+    acks, arms = set[tuple[str, str]](), list[tuple[float, str]]()
     for device, topic in ((HAND, "haptic/state"), (TIP, "afm/state")):
         line = [*session.direct[device, topic], *session.direct[device, "session/event"]]
         pressed_s, suspect, withdrawn, since_s, lost = None, None, False, 0.0, session.missing(device, "session/event")
-        for one in sorted(line, key=lambda one: (one.sent_s, one.fields["seq"])):
+        for one in sorted(line, key=lambda one: one.sent_s):
             said = one.fields
             if suspect is not None and one.sent_s > suspect.at_s + 0.005:
                 # The answer to an arming comes after the state that it has changed, or is missing in the files.
@@ -222,7 +222,6 @@ def judge_stops(session: Session) -> Iterator[Break]:
                 left = said["mode"] != "estop" if device == TIP else not said["estop"]
                 if said["mode"] == "retracting" and pressed_s is None:
                     withdrawn, since_s = True, one.sent_s
-                # Messages of one turn have stamps in any order.
                 if suspect is None and one.sent_s > since_s + 0.001 and (left if pressed_s else withdrawn and moves):
                     suspect = Break("stop_is_last", one.sent_s, f"{device} is in {said['mode']} without an arming")
             elif said["kind"] == "ack" and said["data"].get("command") == "estop":
@@ -235,8 +234,8 @@ def judge_stops(session: Session) -> Iterator[Break]:
                     text = f"{device} is armed by a command of {given_s:.2f} s, before the stop of {pressed_s:.2f} s"
                     yield Break("stop_is_last", one.sent_s, text)
                 pressed_s, suspect, withdrawn = None, None, False
-                if device == TIP and name == "arm":
-                    yield from _judge_arming(session, one)
+                arms += [(one.sent_s, name)] if device == TIP else []
+    yield from _judge_arming(session, arms)
     yield from _judge_window(session)
     ended = {one["id"]: one["missing"] for one in session.acts if one["what"] == "pressed"}
     for act in presses.values():
@@ -259,16 +258,17 @@ def _judge_window(session: Session) -> Iterator[Break]:
             yield Break("stop_is_last", late_s, text)
 
 
-def _judge_arming(session: Session, ack: Seen) -> Iterator[Break]:
-    at_s = ack.sent_s
-    states = Newest(session.direct[TIP, "afm/state"]).between(at_s - session.grain_s, at_s + 0.3)
-    commands = Newest(session.direct["controller@slave", "afm/command"]).between(at_s - 0.15, at_s + 0.3)
-    references = [one.depth_m for one in commands]
-    if len(states) < 2 or any(one.get("name") == "recover" and abs(one["at_s"] - at_s) < 0.3 for one in session.acts):
-        return
-    moved_m = max(one.depth_m for one in states) - states[0].depth_m
-    if moved_m > max(references, default=0.0) - min(references, default=0.0) + 0.5e-9:
-        yield Break("stop_is_last", at_s, f"arming has moved the tip by {1e9 * moved_m:.1f} nm towards the sample")
+def _judge_arming(session: Session, arms: list[tuple[float, str]]) -> Iterator[Break]:
+    states = Newest(session.direct[TIP, "afm/state"])
+    commands = Newest(session.direct["controller@slave", "afm/command"])
+    # Other commands that arm, of the launcher or at the end, send the tip to the place of the hand.
+    others_s = [at_s for at_s, name in arms if name != "arm"]
+    for at_s in (at_s for at_s, name in arms if name == "arm" and all(abs(at_s - one) > 0.3 for one in others_s)):
+        depths_m = [one.depth_m for one in states.between(at_s - session.grain_s, at_s + 0.3)]
+        asked_m = [one.depth_m for one in commands.between(at_s - 0.15, at_s + 0.3)] or [0.0]
+        moved_m = max(depths_m) - depths_m[0] if depths_m else 0.0
+        if moved_m > max(asked_m) - min(asked_m) + 0.5e-9:
+            yield Break("stop_is_last", at_s, f"arming has moved the tip by {1e9 * moved_m:.1f} nm towards the sample")
 
 
 def judge_recordings(session: Session) -> Iterator[Break]:
@@ -397,5 +397,4 @@ def judged(session: Session) -> list[Break]:
 
 
 if __name__ == "__main__":
-    FOUND = judged(Session(Path(sys.argv[1])))
-    sys.exit("\n".join(f"{one.invariant} at {one.at_s:.3f} s: {one.text}" for one in FOUND) or None)
+    sys.exit("\n".join(map(str, judged(Session(Path(sys.argv[1]))))) or None)

@@ -154,17 +154,6 @@ MENDED = {
         {"at_s": 2.0, "kind": "law", "law": "virtual_impedance"},
         {"at_s": 2.3, "kind": "kill", "node": "controller@master", "after": 0, "torn": 0.0},
     ),
-    "a link that was started again tells no lead of the clocks before it has measured them": Schedule(
-        1,
-        "wave",
-        0.02,
-        0.01,
-        (
-            {"at_s": 0.0, "kind": "clock", "ahead_s": -0.2, "drift_ppm": 0},
-            {"at_s": 1.536, "kind": "kill", "node": LINK, "after": 0, "torn": 0.0},
-        ),
-        100.0,
-    ),
     "a queue that stands before a narrow line is a part of the way": Schedule(
         14000468,
         "virtual_impedance",
@@ -174,6 +163,37 @@ MENDED = {
             {"at_s": 4.015, "kind": "stop"},
             {"at_s": 4.466, "kind": "narrow", "direction": "both", "bytes_per_s": 60000.0, "for_s": 1.5},
         ),
+        100.0,
+    ),
+    "a link that was started again tells of no clocks before it knows them": Schedule(
+        15000195,
+        "wave",
+        0.02,
+        0.01,
+        (
+            {"at_s": 0.0, "kind": "clock", "ahead_s": -0.2, "drift_ppm": 0},
+            {"at_s": 1.536, "kind": "kill", "node": LINK, "after": 0, "torn": 0.0},
+        ),
+        100.0,
+    ),
+    "the messages of a turn are judged in the order of sending": Schedule(
+        15000213,
+        "virtual_impedance",
+        0.05,
+        0.0,
+        (
+            {"at_s": 1.68, "kind": "arm", "target": "tip", "place": False},
+            {"at_s": 1.695, "kind": "delay", "forward_s": 0.01, "backward_s": 0.03},
+            {"at_s": 1.709, "kind": "press", "site": "master", "target": TIP.partition("@")[0]},
+        ),
+        250.0,
+    ),
+    "a tip that the start of the session places was not moved by an earlier arming": Schedule(
+        15200063,
+        "virtual_impedance",
+        0.05,
+        0.01,
+        ({"at_s": 0.52, "kind": "arm", "target": "tip", "place": False},),
         100.0,
     ),
 }
