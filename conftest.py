@@ -18,6 +18,9 @@ from restored_process import process_restored, process_restored_after_a_file
 __all__ = ["process_restored", "process_restored_after_a_file"]
 
 ROOT = Path(__file__).parent
+# When a test of `make endurance` is ended that names no time of its own [s]; `make test` and `make check` have the
+# limit of pyproject.toml, which several of those tests need for their work.
+ENDURANCE_S = 3600
 
 # derandomize: the same examples every run, and no database of them on disk
 settings.register_profile(
@@ -36,6 +39,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     A case is drawn by its name, so that each run has the same ones and a new case moves no other.
     """
     for item in items:
+        if item.get_closest_marker("endurance") and item.get_closest_marker("timeout") is None:
+            item.add_marker(pytest.mark.timeout(ENDURANCE_S))
         if (grid := item.get_closest_marker("grid")) and item.get_closest_marker("endurance") is None:
             values = item.callspec.params  # type: ignore[attr-defined]
             if any(values[name] != chosen for name, chosen in grid.kwargs.items()):

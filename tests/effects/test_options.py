@@ -18,8 +18,12 @@ from option_effects import (
     VALUES,
     WITHOUT,
     commands,
+    content_of,
     effect_of,
 )
+
+from telenano.recording import Selection, filter_recording
+from telenano.settings import DEMO_RECORDING
 
 ROOT = Path(__file__).parents[2]
 SEED = 93
@@ -85,6 +89,17 @@ def drawn() -> list[tuple[str, Any]]:
 def test_a_tenth_of_the_options_and_those_that_a_change_touches_have_an_effect(tmp_path: Path) -> None:
     found = without_effect(drawn(), tmp_path)
     assert not found, f"{', '.join(found)}: {WHAT_TO_DO}"
+
+
+def test_a_small_recording_is_compared_by_its_messages_and_one_that_is_cut_off_by_its_bytes(tmp_path: Path) -> None:
+    made, other, cut = (tmp_path / f"{name}.mcap" for name in ("made", "other", "cut"))
+    filter_recording(DEMO_RECORDING, made, Selection.of(["link/status"]))
+    filter_recording(DEMO_RECORDING, other, Selection.of(["node/health"]))
+    cut.write_bytes(made.read_bytes()[:4000])
+    _, messages = content_of(made)
+    assert {message.channel.topic for message in messages} == {"link/status"}
+    assert content_of(other) != content_of(made)
+    assert content_of(cut) == cut.read_bytes()
 
 
 def test_every_command_is_tried_or_has_its_reason() -> None:

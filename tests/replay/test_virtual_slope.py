@@ -1,18 +1,20 @@
 """A hand of three axes pushes along a slope, by position and by rate: felt, recorded, replayed, run again exactly."""
 
-import json
-import os
-import subprocess
-import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
+import zmq
 
+from services.player.node import PlayerNode, PlaySettings
+from services.player.run import ReplayRequest, run_replay
 from telenano.recording.reader import Recording
 from telenano.rerun.rerun import rerun
 from telenano.virtual import STARTED_S, record_session
+from telenano.wire.nodes import PLAYER
 
 SLOPE = 0.2
 FORCE_SCALE, ARM_N_PER_M = 1e8, 300.0
@@ -20,6 +22,8 @@ REPLAYED = ("haptic/state", "haptic/command", "afm/state")
 # where the hand is across: it presses first, and then goes up the slope [s, m]
 PATH = [(0.5, 0.0), (1.5, 0.006), (2.0, 0.006)]
 ENDS_S = STARTED_S + 2.0
+# where what these tests measure is decided
+ACROSS = ("services/player/", "telenano/hand/", "telenano/laws/", "telenano/rerun/", "telenano/sections/")
 NODES = ("haptic_node@master", "controller@master", "controller@slave", "afm_node@slave")
 
 
@@ -56,29 +60,29 @@ def states(recording: Recording, topic: str) -> list[Any]:
     return [message.decode() for message in recording.messages((topic,))]
 
 
-def replayed(recording: Recording, folder: Path) -> int:
-    """Replay hand and tip as fast as it goes, and return how many messages were sent."""
-    topics = [word for topic in REPLAYED for word in ("--topics", topic)]
-    command = [
-        sys.executable,
-        "-m",
-        "telenano",
-        "replay",
-        str(recording.path),
-        "--rate",
-        "0",
-        "--wait",
-        "0.1",
-        "--json",
-    ]
-    environment = {**os.environ, "TELENANO_RUNTIME_DIR": str(folder / "run")}
-    done = subprocess.run([*command, *topics], env=environment, capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr
-    sent: int = json.loads(done.stdout)["messages"]
-    return sent
+def replayed(recording: Recording, folder: Path) -> Counter[str]:
+    """Replay hand and tip as fast as it goes, and return how many messages of each topic a reader received."""
+    site_file = folder / "site.yaml"
+    site_file.write_text(yaml.safe_dump({"nodes": {node: f"ipc://{folder}/{node}" for node in (*NODES, PLAYER)}}))
+    found: Counter[str] = Counter()
+    with zmq.Context() as context, context.socket(zmq.SUB) as reader:
+        reader.set(zmq.RCVHWM, 0)
+        reader.subscribe("")
+        for node in NODES:
+            reader.connect(f"ipc://{folder}/{node}")
+
+        def read(_player: PlayerNode | None = None) -> None:
+            while reader.poll(0):
+                found[reader.recv_multipart()[0].decode()] += 1
+
+        settings = PlaySettings(rate=0.0, wait_s=10.0)
+        run_replay(ReplayRequest([recording.path], site_file, topics=REPLAYED, settings=settings), observe=read)
+        read()
+    return Counter({topic: found[topic] for topic in REPLAYED})
 
 
-@pytest.mark.endurance
+@pytest.mark.check("takes 6 s")
+@pytest.mark.drawn(0.0, *ACROSS)
 @pytest.mark.parametrize("mode", ["position", "rate"])
 def test_a_slope_is_felt_across_and_the_session_is_run_again_exactly(mode: str, tmp_path: Path) -> None:
     recording = session(tmp_path, mode, SLOPE)
@@ -103,12 +107,13 @@ def test_a_slope_is_felt_across_and_the_session_is_run_again_exactly(mode: str, 
     rise_m, run_m = (tip.base_position_m[axis] - pressed.base_position_m[axis] for axis in (2, 0))
     assert rise_m == pytest.approx(SLOPE * run_m, rel=0.1, abs=0.0)
     # It is replayed onto a bus as it was recorded, and each node gives the same again, bit by bit.
-    assert replayed(recording, tmp_path) == sum(1 for _ in recording.messages(REPLAYED))
+    assert replayed(recording, tmp_path) == Counter(message.topic for message in recording.messages(REPLAYED))
     for node in NODES:
         assert rerun(recording, node).identical, node
 
 
-@pytest.mark.endurance
+@pytest.mark.check("takes 4 s")
+@pytest.mark.drawn(0.0, *ACROSS)
 def test_a_plane_is_not_felt_across(tmp_path: Path) -> None:
     recording = session(tmp_path, "position", 0.0)
     hand, tip = states(recording, "haptic/state")[-1], states(recording, "afm/state")[-1]

@@ -48,7 +48,16 @@ def of_the_benchmark() -> Figure:
     networks = ("clean", "transcontinental", "leo_satellite", "lossy_bursts")
     rows = [
         results.Row(
-            results.Case("ideal", "scripted", network), law, 24, 24 - 4 * number, 0.5, 1.0, 0, {"stable": 24}, spread
+            case=results.Case("ideal", "scripted", network),
+            law=law,
+            runs=24,
+            held=24 - 4 * number,
+            low=0.5,
+            high=1.0,
+            made_energy=0,
+            sound=24 - 4 * number,
+            verdicts={"stable": 24 - 4 * number, "diverged": 4 * number},
+            measures=spread,
         )
         for network in networks
         for number, law in enumerate(ALL_LAWS)
@@ -58,7 +67,20 @@ def of_the_benchmark() -> Figure:
 
 def of_pushes() -> Figure:
     rows = [
-        Row(law, trip_ms, loss, 50, 48, 0.86, 0.99, 4.0 + 1e-3 * trip_ms, 12.0, 0.1, 30.0, 25.0)
+        Row(
+            law=law,
+            round_trip_ms=trip_ms,
+            loss=loss,
+            trials=50,
+            placed=48,
+            low=0.86,
+            high=0.99,
+            time_s=4.0 + 1e-3 * trip_ms,
+            error_nm=12.0,
+            losses=0.1,
+            peak_nn=30.0,
+            press_nn=25.0,
+        )
         for law in ALL_LAWS
         for trip_ms in (0.0, 100.0, 500.0)
         for loss in (0.0, 0.05)
@@ -77,7 +99,7 @@ def of_a_network() -> Figure:
     )
 
 
-@pytest.mark.endurance
+@pytest.mark.check("draws figures, half a second each")
 @pytest.mark.parametrize("draw", [of_the_benchmark, of_pushes, of_a_network])
 def test_other_figures_are_whole(draw: Callable[[], Figure]) -> None:
     assert faults(draw()) == []

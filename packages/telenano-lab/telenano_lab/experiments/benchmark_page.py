@@ -248,7 +248,7 @@ def _draw_shares(axes: Any, rows: Sequence[Row[Case]], networks: Sequence[str], 
             weight = "bold" if best.get(network) == law else "normal"
             colour = "black" if row.share > _LIGHT else "white"
             axes.text(x, y, words, ha="center", va="center", color=colour, fontsize=8, weight=weight)
-    axes.set_xticks(range(len(laws)), [law.replace("_", " ") for law in laws], rotation=20, ha="right")
+    axes.set_xticks(range(len(laws)), [law.replace("_", "\n") for law in laws])
     labels = [f"{name.replace('_', ' ')}, {profile_named(name).round_trip_ms:.3g} ms" for name in networks]
     axes.set_yticks(range(len(networks)), labels)
     return image
