@@ -37,6 +37,7 @@ from telenano.virtual.bus import RecorderWay, VirtualBus
 from telenano.virtual.request import SimulateRequest, plan_of
 from telenano.virtual.rig import BEGIN_NS, EPOCH_OFFSET_NS, LINK_ENDPOINT
 from telenano.virtual.session import SimulatedRig
+from telenano.virtual.timing import RANDOM_TIMING
 from telenano.virtual.wiring import VirtualWiring
 from telenano.wire import TOPICS, Message
 from telenano.wire.codec import encode, read_header
@@ -44,6 +45,8 @@ from telenano.wire.messages import SessionControl, SessionEvent
 from telenano.wire.nodes import FAR_RECORDER, KEEPERS, LAUNCHER, RECORDER, is_meant, name_of, site_of
 from telenano.wire.received import Received
 
+# Messages of a turn have equal stamps, because the stamps of a real process never go back.
+_TIMING = dataclasses.replace(RANDOM_TIMING, sending=(10_000, 10_001))
 _KILLED = -9
 _PERSON_NS = 20_000_000
 _STOP_NS = 50_000_000
@@ -230,7 +233,7 @@ class FaultyRig(SimulatedRig):
         self._fate: tuple[bytes, list[Any]] = (b"", [])
         self._newest_turn, self._repeats = ("", 0), 0
         disk = FaultyDisk(lambda: self.now_s, self._stall_recorder)
-        super().__init__(plan, schedule.seed, disk=disk, far=True)
+        super().__init__(plan, schedule.seed, timing=_TIMING, disk=disk, far=True)
         self.faulty_disk = disk
         self.people: dict[str, PersonNode] = {}
         self.stops: dict[str, StopNode] = {}
