@@ -17,7 +17,7 @@ from telenano.settings import DEFAULT_SITE_FILE
 pytestmark = [pytest.mark.browser, needs_browser]
 
 SIZES = (("laptop", 1366, 768), ("tablet", 820, 1100), ("phone", 390, 844), ("low", 844, 390))
-STAGE = "document.body.dataset.stage"
+STAGE = "document.body?.dataset.stage"
 SHOWN = """(id) => {
   const box = document.getElementById(id).getBoundingClientRect();
   const at = document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2);

@@ -122,7 +122,7 @@ class Person(Page):
     def begun(self, words: str) -> bool:
         """Return whether a trial runs that the page calls so, and has not been answered."""
         button = "document.querySelector('#during-felt')"
-        runs = f"document.body.dataset.stage === 'trial' && {button} !== null && !{button}.disabled"
+        runs = f"document.body?.dataset.stage === 'trial' && {button} !== null && !{button}.disabled"
         return bool(self.page.evaluate(f"{runs} && document.querySelector('#count').textContent === {words!r}"))
 
     def check(self) -> None:
