@@ -349,16 +349,16 @@ def judge_verdict(session: Session) -> Iterator[Break]:
 
 
 def judge_energy(session: Session) -> Iterator[Break]:
-    """Check: with wave variables, no more energy leaves both ports than has entered."""
+    """Check: in the first stretch that only waves moved, no more energy leaves both ports than has entered."""
     if session.schedule["law"] != "wave":
         return
     tips = session.direct[TIP, "afm/state"]
     first_s = next((one.sent_s for one in tips if one.fields["mode"] == "follow"), 0.0)
-    # Motions by a guard or a device are not caused by the law, so only the first stretch without them counts.
-    ends = [one["at_s"] for one in session.events("law", "device", "kill", "site_restart", "stall")]
+    begun_anew = [one["at_s"] for one in session.events("law", "kill", "site_restart")]
+    ends = [one["at_s"] for one in session.events("device", "stall")]
     ends += [one.sent_s for one in tips if one.fields["mode"] != "follow"]
     ends += [one.sent_s for one in session.direct[HAND, "haptic/state"] if one.fields["mode"] == "off"]
-    end_s = min([one for one in ends if one > first_s + UNFELT_S], default=session.end_s)
+    end_s = min([*begun_anew, *(one for one in ends if one > first_s + UNFELT_S)], default=session.end_s)
     masters = Newest(session.direct["controller@master", "law/status"])
     for one in session.direct["controller@slave", "law/status"]:
         if (near := masters.at(one.sent_s)) is None or not first_s < one.sent_s < end_s:
