@@ -59,7 +59,7 @@ CALM_S = 0.7
 RECOVERY_S = 2.0
 SESSION_S = 8.5
 # Time that a site has besides which begins again with a clock that was set back by more than a second [s]: its messages
-# on a topic count as repetitions until eight have come (proto/SPEC.md), and an arming is asked for every 0.2 s.
+# on a topic count as repetitions (proto/SPEC.md) until eight have come in a row, and an arming is sent every 0.2 s.
 SET_BACK_S = 8 * 0.2
 
 
