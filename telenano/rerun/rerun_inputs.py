@@ -142,9 +142,10 @@ def _repeated_ns(batches: Sequence[NodeJournal]) -> dict[tuple[str, str, int], l
     found: dict[tuple[str, str, int], list[int]] = {}
     for (topic, src), parts in of_source.items():
         numbers, times_ns = (np.concatenate(column) for column in zip(*parts, strict=True))
-        values, counts = np.unique(numbers, return_counts=True)
-        for seq in values[counts > 1].tolist():
-            found[topic, src, seq] = times_ns[numbers == seq].tolist()
+        order = np.argsort(numbers, kind="stable")
+        values, first, counts = np.unique(numbers[order], return_index=True, return_counts=True)
+        for seq, begin, count in zip(*(column[counts > 1].tolist() for column in (values, first, counts)), strict=True):
+            found[topic, src, seq] = times_ns[order[begin : begin + count]].tolist()
     return found
 
 
