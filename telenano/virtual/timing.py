@@ -29,13 +29,14 @@ class Timing:
 RANDOM_TIMING = Timing()
 
 
-def constant_timing(link_ns: int, site_ns: int = 1_000) -> Timing:
+def constant_timing(link_ns: int | None, site_ns: int = 1_000) -> Timing:
     """Return a timing without jitter, lateness and stalls: one constant delay of the link and one on a site [ns].
 
-    The rig then runs on the grid that the lockstep loop assumes. The delay on a site must be more than zero, because it
-    orders the events within a tick. The recorder receives all messages with the same delay, so in the order of sending.
+    With link_ns None the link is a node of its own. The rig runs on the grid that the lockstep loop assumes. The delay
+    on a site must be more than zero, because it orders the events within a tick. The recorder receives all
+    messages with the same delay, so in the order of sending.
     """
-    site, link = (site_ns, site_ns + 1), (link_ns, link_ns + 1)
+    site, link = (site_ns, site_ns + 1), None if link_ns is None else (link_ns, link_ns + 1)
     return Timing((0, 1), site, link, (10_000, 10_001), (0, 1), site, stall_share=0.0)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from telenano.virtual import LINK_ENDPOINT, LINK_NODE, Timing, VirtualRig
+from telenano.virtual import LINK_ENDPOINT, LINK_NODE, VirtualRig, constant_timing
 from telenano.wire import Message
 
 HAND, TIP, MASTER_HALF = "haptic_node@master", "afm_node@slave", "controller@master"
@@ -18,7 +18,7 @@ TIP_S, HAND_S = 0.5, 0.1
 # from the decision of a device to its state, and what the link rounds of the delay that it reports
 GRAIN_S = 0.002
 # nothing late and nothing random, and the link a node of its own
-TIMING = Timing((0, 1), (100_000, 100_001), None, (10_000, 10_001), (0, 1), (1_000, 1_001), stall_share=0.0)
+TIMING = constant_timing(None, 100_000)
 # A hand that is moved over a sample, which no law makes unstable over a long way.
 WAY = [{"time_s": 0.0, "position_m": 0.0}, {"time_s": 0.2, "position_m": 1e-3}]
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from telenano.virtual import Timing, VirtualRig
+from telenano.virtual import VirtualRig, constant_timing
 from telenano.wire.codec import fields_of
 
 ROOT = Path(__file__).parents[2]
@@ -24,7 +24,7 @@ SCENARIO = {
     "delay_node": {way: {"delay_s": 0.005} for way in ("forward", "backward")},
 }
 # nothing late and nothing random, and the link a node of its own
-TIMING = Timing((0, 1), (100_000, 100_001), None, (10_000, 10_001), (0, 1), (1_000, 1_001), stall_share=0.0)
+TIMING = constant_timing(None, 100_000)
 WALL_CLOCK = re.compile(r"\btime\.time(_ns)?\(|\bdatetime\.(now|today|utcnow)\(|\btime\.(local|gm)time\(\)")
 # where a running process of the rig may ask the wall clock, and what it does with the answer
 MAY_ASK = {

@@ -17,13 +17,13 @@ from telenano.devices.afm.instrument import driver_of
 from telenano.sections.afm_section import AfmConfig
 from telenano.settings import find_scenario
 from telenano.settings.config import validate
-from telenano.virtual import Timing, VirtualRig
+from telenano.virtual import VirtualRig, constant_timing
 
 TIP, HAND = "afm_node@slave", "haptic_node@master"
 BEGIN_S, END_S = 0.4, 4.4
 # states in the holds of 1 and of 2 N
 FIRST, SECOND = (2400, 2600), (4200, 4700)
-TIMING = Timing((0, 1), (100_000, 100_001), None, (10_000, 10_001), (0, 1), (1_000, 1_001), stall_share=0.0)
+TIMING = constant_timing(None, 100_000)
 
 
 class Wire:

@@ -2,12 +2,12 @@
 
 import pytest
 
-from telenano.virtual import LINK_NODE, Timing, VirtualRig
+from telenano.virtual import LINK_NODE, VirtualRig, constant_timing
 
 NODES = ("haptic_node@master", "controller@master", LINK_NODE, "controller@slave", "afm_node@slave")
 BEGIN_S = 0.3
 # nothing late and nothing random, and the link a node of its own
-TIMING = Timing((0, 1), (100_000, 100_001), None, (10_000, 10_001), (0, 1), (1_000, 1_001), stall_share=0.0)
+TIMING = constant_timing(None, 100_000)
 
 
 @pytest.mark.parametrize("node", NODES)
