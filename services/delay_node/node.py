@@ -253,7 +253,7 @@ class DelayNode(ImpairedLink):
 
         Until the first exchange of a new process, readers at the slave's site keep what the process before has told.
         """
-        return not self._spans_machines or bool(self.offset.state.blocks)
+        return not self._spans_machines or self.offset.present.there is not None
 
     def _declare_forward(self) -> None:
         if self._spans_machines:

@@ -22,7 +22,7 @@ REPLAYED = ("haptic/state", "haptic/command", "afm/state")
 # where the hand is across: it presses first, and then goes up the slope [s, m]
 PATH = [(0.5, 0.0), (1.5, 0.006), (2.0, 0.006)]
 ENDS_S = STARTED_S + 2.0
-# where what these tests measure is decided
+# The folders of the code that decides what these tests measure.
 ACROSS = ("services/player/", "telenano/hand/", "telenano/laws/", "telenano/rerun/", "telenano/sections/")
 NODES = ("haptic_node@master", "controller@master", "controller@slave", "afm_node@slave")
 

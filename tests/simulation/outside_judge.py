@@ -74,7 +74,7 @@ class Session:
         # Time of sending and checksum of each message; times, numbers and stamps of each publisher and topic.
         self.ledger: dict[tuple[str, str, int, int], tuple[float, int]] = {}
         self.sent: dict[tuple[str, str], list[tuple[float, int, int]]] = defaultdict(list)
-        newest_ns = defaultdict[str, int](int)  # The ledger is in the order of sending; the times of a turn are not.
+        newest_ns = defaultdict[str, int](int)  # The ledger is in the order of sending; a turn has one time.
         for src, topic, seq, t_ns, sent_ns, crc in msgpack.unpackb((folder / "ledger.msgpack").read_bytes()):
             newest_ns[src] = max(sent_ns, newest_ns[src] + 1)
             self.ledger[src, topic, seq, t_ns] = newest_ns[src] * 1e-9, crc
