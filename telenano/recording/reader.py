@@ -375,7 +375,7 @@ def info_of(recordings: Sequence[Recording], see: SeeMessage | None = None) -> R
     parts: list[PartInfo] = []
     missing: list[str] = []
     for number, recording in enumerate(recordings):
-        statistics.begin_file()
+        statistics.begin_file(after_pause=not number or recordings[number - 1].ending != _PLANNED_END)
         part, counted = _count(recording, statistics, parts[-1] if parts else None, see)
         damage += counted
         # If no sequence number is missing, nothing was sent in the pause.
