@@ -5,8 +5,8 @@
 It reads files with the plain libraries `mcap` and `msgpack`, and with nothing of this project:
 
 - The numbers that a channel lacks are those that `recorder/gap` names. They are counted for each process (`run`) of the
-  publisher: from 0 on if an earlier process of it is in the file, and up to the count that the publisher, or the link
-  that carried it, announced at its end.
+  publisher, up to the count that it, or the link that carried it, announced at its end. They begin at 0 if an earlier
+  process is in the file, except of consoles and emergency stops, which repeat a command until it is answered.
 - Number and stamp of a record are those of its message, and the stamps of a process do not go back.
 - With `commands=True`, every command that was acknowledged is in the file.
 """
@@ -83,6 +83,7 @@ class Stream:
     """A channel: the processes of its publisher, by `run` or, without that key, in their order."""
 
     def __init__(self) -> None:
+        self.counts_heads = True
         self.processes: dict[object, Process] = {}
         self._present: object = None
 
@@ -112,7 +113,11 @@ class Stream:
             process.sent, process.ended = max(process.sent, sent), own
 
     def lacking(self) -> list[tuple[Range, int]]:
-        return [part for place, one in enumerate(self.processes.values()) for part in one.lacking(head=place > 0)]
+        return [
+            part
+            for place, (run, one) in enumerate(self.processes.items())
+            for part in one.lacking(head=place > 0 and self.counts_heads and isinstance(run, int) and run >= 0)
+        ]
 
     def going_back(self) -> Iterator[str]:
         for process in self.processes.values():
@@ -143,6 +148,7 @@ class Account:
         if (one.seq, one.publish_ns, src) != (fields["seq"] % 2**32, fields["t_ns"], fields["src"]):
             self.faults.append(f"{one.channel.topic} {src}: {one.seq} is recorded as another message")
         self.streams[one.channel.topic, src].add(one)
+        self.streams[one.channel.topic, src].counts_heads = not src.startswith(("console", "estop"))
         if topic == "session/control":
             self.asked.add(fields["id"])
         elif topic == "session/event":
@@ -162,6 +168,17 @@ def lacking(*paths: Path) -> dict[tuple[str, str], int]:
         for place, stream in account.streams.items()
     }
     return {place: count for place, count in counts.items() if count}
+
+
+def channels(path: Path) -> set[tuple[str, str]]:
+    """Return channel and source of every message of a file."""
+    return {(one.channel.topic, one.channel.metadata["src"]) for one in _read(path)[0]}
+
+
+def told(*paths: Path) -> dict[tuple[str, str], int]:
+    """Return how many numbers the files of a recording say to lack, by channel and source."""
+    account = Account(one for path in paths for one in _read(path)[0])
+    return {place: sum(last + 1 - first for first, last in gaps) for place, gaps in account.told.items()}
 
 
 def check(path: Path, *, commands: bool = False) -> list[str]:
