@@ -133,6 +133,8 @@ class Account:
     def __init__(self, seen: Iterable[Seen]) -> None:
         self.streams: dict[tuple[str, str], Stream] = defaultdict(Stream)
         self.told: dict[tuple[str, str], list[Range]] = defaultdict(list)
+        # Those that are told before the first message of the channel: they may be of an earlier file.
+        self.told_before: dict[tuple[str, str], list[Range]] = defaultdict(list)
         self.asked, self.answered = set[str](), dict[str, str]()
         self.faults = list[str]()
         for one in seen:
@@ -142,7 +144,10 @@ class Account:
         fields, (topic, src, site) = one.fields, (one.channel.metadata[key] for key in ("topic", "src", "site"))
         if topic == "recorder/gap":
             gap = (fields["first_missing"], fields["last_missing"])
-            self.told[fields["channel_topic"], fields["src"]].append(gap)
+            place = fields["channel_topic"], fields["src"]
+            self.told[place].append(gap)
+            if place not in self.streams:
+                self.told_before[place].append(gap)
         if topic.startswith("recorder/"):
             return
         if (one.seq, one.publish_ns, src) != (fields["seq"] % 2**32, fields["t_ns"], fields["src"]):
@@ -193,9 +198,8 @@ def check(path: Path, *, commands: bool = False) -> list[str]:
         # The newest gaps of a file that was not closed may not be recorded yet.
         sure = every if closed else [part for part, noticed_ns in lacks if noticed_ns < last_ns - TOLD_NS]
         faults += [f"{name}: {first} to {last} are missing and not told" for first, last in _more(sure, told[place])]
-        # A further file may begin with what was noticed in the one before.
-        begin = stream.first
-        false = [part for part in _more(told[place], every) if part[1] >= begin]
+        # A further file may tell of what was noticed in the one before.
+        false = [part for part in _more(told[place], [*every, *account.told_before[place]]) if part[1] >= stream.first]
         faults += [f"{name}: {first} to {last} are told to be missing" for first, last in false]
         faults += [f"{name}: {text}" for text in stream.going_back()]
     if commands:
