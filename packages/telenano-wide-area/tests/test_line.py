@@ -11,7 +11,7 @@ from telenano_wide_area.datagram.line import Line
 from telenano_wide_area.datagram.outgoing import LEAST_HZ
 from telenano_wide_area.datagram.rate import FULL_NS, Delivery, PathEstimate, RateControl
 
-from telenano.timing.line_present import LinePresent
+from telenano.timing import OffsetFilter
 
 MBIT = 125_000.0
 FIXED_NS = 20 * MS
@@ -150,7 +150,7 @@ def greatest_told_ms(kind: str, seed: int) -> tuple[float, float]:
     """Return the greatest queue to here that is told, and the true one [ms], as an end sees exchanges at 250 Hz."""
     dice = random.Random(f"{kind} {seed}")
     there_ms, back_ms, truth_ms = drawn_way(kind, dice)
-    line, present, told = Line(), LinePresent(), 0.0
+    line, offset, told = Line(), OffsetFilter(64), 0.0
     arrivals: list[tuple[float, float, float]] = []
     for tick in range(10 * 250):
         asked_s = 1.0 + tick / 250
@@ -160,8 +160,8 @@ def greatest_told_ms(kind: str, seed: int) -> tuple[float, float]:
         received, asked, heard = (round(1e9 * time_s) for time_s in times_s)
         stamps = (asked, heard + AHEAD_NS, heard + AHEAD_NS, received)
         line.record(*stamps)
-        if present.record(*stamps):
-            line.jump(received, *present.jumped_ns)
+        if offset.record(*stamps):
+            line.jump(received, *offset.present.jumped_ns)
         if number % 25 == 0 and (standing := line.take_back()) is not None:
             told = max(told, standing.queue_ns * 1e-6)
     return told, truth_ms
