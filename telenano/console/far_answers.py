@@ -14,13 +14,12 @@ from telenano.console.answers import Answer
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import Subscriber
 from telenano.runtime.wiring.participant import Participant
+from telenano.wire.answers import OBEYED
 from telenano.wire.errors import TelenanoError
 from telenano.wire.messages import SessionEvent
 from telenano.wire.nodes import LINK
 
 _FAR_LINK = f"{LINK}@slave"
-# Key of the data of the link's report that a device of the other site has obeyed a stop.
-OBEYED = "obeyed"
 
 
 class Listener:

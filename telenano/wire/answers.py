@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 if TYPE_CHECKING:
     from telenano.wire.messages import Scalar
 
+# Key of the data of the link's report that a device of the other site has obeyed the stop with this id.
+OBEYED = "obeyed"
 _PREFIX = "parameters."
 _LEFT_OUT = "parameters_left_out"
 # Most parameters that an answer repeats; with the other data they stay below the 1024 keys of a map.
