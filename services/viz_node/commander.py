@@ -7,6 +7,7 @@ from typing import Any
 from telenano.console.coupling import recouple
 from telenano.console.emergency_stop import LocalRig, emergency_stop
 from telenano.console.going_back import send_way
+from telenano.console.last_seen import with_last_seen
 from telenano.console.send_commands import arm_steps, send_control
 from telenano.runtime.loop.commands import Command, CommandName
 from telenano.wire.errors import ConfigError, TelenanoError
@@ -62,8 +63,8 @@ class RigCommander:
     def estop(self, by: str) -> dict[str, tuple[str, str]]:
         """Stop the devices like `telenano estop`; return a kind and a sentence for each device, answered or not."""
         rig, reach = self._rig, self._rig.reach(_EVERYBODY, "")
-        rows = emergency_stop(rig, reach, _EVERYBODY, lambda answer: None, by)
-        answers = {node: (answer.kind, answer.text) for node, answer in rows.items()}
+        rows = with_last_seen(rig, emergency_stop(rig, reach, _EVERYBODY, lambda answer: None, by))
+        answers = {node: (answer.kind, answer.sentence) for node, answer in rows.items()}
         for target in reach.by_console or (() if rows else (_EVERYBODY,)):
             events: list[SessionEvent] = []
             try:

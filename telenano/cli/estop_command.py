@@ -240,7 +240,13 @@ def _stop_directly(
 
         return listening(request.site_file or TWO_SITES_FILE)
 
-    return emergency_stop(rig, reach, request.target, on_answer, os.environ.get("TELENANO_NAME", ""), listen)
+    answers = emergency_stop(rig, reach, request.target, on_answer, os.environ.get("TELENANO_NAME", ""), listen)
+    if all_acknowledged(answers):
+        return answers
+    # Imported here, because it loads what reads recordings: nothing is looked up before the stop was sent.
+    from telenano.console.last_seen import with_last_seen
+
+    return with_last_seen(rig, answers)
 
 
 def _stop_by_console(

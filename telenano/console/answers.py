@@ -12,6 +12,8 @@ stop has no time for them.
 from collections.abc import Mapping
 from typing import Any, Literal, NamedTuple
 
+from telenano.wire.errors import RigError
+
 Kind = Literal["ack", "refused", "kept", "absent", "unreached"]
 # What the kinds mean, for people.
 MEANINGS: dict[Kind, str] = {
@@ -55,3 +57,16 @@ def unacknowledged(answers: Mapping[str, Answer]) -> str:
     """Return a sentence on the nodes that have neither acknowledged nor refused; empty if there are none."""
     silent = [answer for _, answer in sorted(answers.items()) if answer.kind not in ("ack", "refused")]
     return "; ".join(f"{answer.node} {answer.sentence}" for answer in silent)
+
+
+class UnansweredError(RigError):
+    """A command that not all who were asked have answered; `answers` has a row for each of them."""
+
+    def __init__(self, text: str, answers: Mapping[str, Answer]) -> None:
+        super().__init__(text)
+        self.answers = dict(answers)
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """The rows for JSON, beside the text."""
+        return {"answers": {node: answer.row() for node, answer in sorted(self.answers.items())}}

@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, closing, suppress
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import msgpack
 import zmq
@@ -161,6 +161,13 @@ class LocalRig:
     def is_supervised(self) -> bool:
         """Return whether a launcher runs here, which restarts a device that has ended."""
         return any(self._runs(node) for node in LAUNCHERS if node in self.endpoints)
+
+    def state_of(self, node: str) -> Literal["runs", "absent", "unknown"]:
+        """Return whether a node runs on this machine, is known not to, or may run elsewhere."""
+        if node in self.endpoints and self._runs(node):
+            return "runs"
+        is_here = node in self.endpoints and node not in self._networked and self._is_home(site_of(node))
+        return "absent" if is_here and not self.seen.blind else "unknown"
 
     @property
     def has_launcher_of_link(self) -> bool:
