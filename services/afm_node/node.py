@@ -382,7 +382,7 @@ class AfmNode(DeviceNode):
         self._publish_state(step)
         return step.allowed
 
-    def device_health(self) -> Mapping[str, float | str]:
+    def device_health(self) -> Mapping[str, Any]:
         """Return the fields of node/health on the device, and the actual force limit of the guard [N]."""
         return {**super().device_health(), "force_limit_n": self._limits.force_limit_n}
 

@@ -84,7 +84,7 @@ class DeviceNode(Node):
         """Report the delay that a real device declares [s] and the identity of its calibration in node/health."""
         self._device_health = {"device_latency_s": latency_s, "calibration": calibration}
 
-    def device_health(self) -> Mapping[str, float | str]:
+    def device_health(self) -> Mapping[str, Any]:
         ages_s, self._ages_s = self._ages_s, []
         return {**self._device_health, **({"device_age_s": sum(ages_s) / len(ages_s)} if ages_s else {})}
 

@@ -45,11 +45,15 @@ export class Commands {
   }
 
   /** Why the emergency stop of this page stops nothing, and what does; empty where it stops. */
-  get deadStop(): { short: string; long: string } | undefined {
+  get deadStop(): { short: string; long: string; isSent: boolean } | undefined {
     if (this.link !== "open") {
-      return { short: "STOP NOT CONNECTED", long: "This page is not connected and stops nothing: use the switch of the instrument, or type: telenano estop" };
+      return { short: "STOP NOT CONNECTED", long: "This page is not connected and stops nothing: use the switch of the instrument, or type: telenano estop", isSent: false };
     }
-    if (this.store.source.kind === "recording") return { short: "NOTHING TO STOP", long: "This is a recording: it moves nothing" };
+    if (this.store.isPictureOld) {
+      // it is sent all the same: the line may carry it although nothing comes back
+      return { short: "STOP NOT CONNECTED", long: "This page hears nothing, and its stop may reach nothing: use the switch of the instrument, or type: telenano estop", isSent: true };
+    }
+    if (this.store.source.kind === "recording") return { short: "NOTHING TO STOP", long: "This is a recording: it moves nothing", isSent: false };
     return undefined;
   }
 
@@ -58,7 +62,7 @@ export class Commands {
     this.stops++;
     this.stoppedAt = performance.now();
     this.onEstop();
-    if (dead) this.settle(this.answers.pending("emergency stop"), "emergency stop", "not sent", dead.long);
+    if (dead && !dead.isSent) this.settle(this.answers.pending("emergency stop"), "emergency stop", "not sent", dead.long);
     else await this.ask("emergency stop", { k: "estop" });
   }
 

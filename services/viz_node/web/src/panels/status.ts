@@ -58,7 +58,7 @@ export class StatusPanel implements Panel {
     this.shownStop = key;
     this.stop.toggleAttribute("data-dead", dead !== undefined);
     this.stop.setAttribute("aria-disabled", String(dead !== undefined));
-    this.stop.disabled = dead !== undefined && this.cockpit.commands.link === "open";
+    this.stop.disabled = dead !== undefined && this.cockpit.store.source.kind === "recording" && this.cockpit.commands.link === "open";
     this.stop.title = dead?.long ?? "Stops both devices at once";
     if (!dead) this.stop.replaceChildren("EMERGENCY STOP ", make("kbd", {}, "Esc"));
     else {
