@@ -86,7 +86,7 @@ class Lease(NamedTuple):
 
     `number`: rises whenever control changes its holder or becomes free; `kept`: True if it lasts longer than one act;
     `presses`: True if the holder's hand pushes; `withdraw`: True if a holder vanished while pressing, so that the tip
-    must be withdrawn; `lost`: the last loss, until a party has control again.
+    must be withdrawn; `lost`: the last loss, until a party takes control, and not only for an act.
     """
 
     number: int = 0
@@ -268,11 +268,12 @@ def _are_the_owners(party: Party, holder: Party) -> bool:
 
 
 def _granted(lease: Lease, party: Party, now_ns: int, *, kept: bool, presses: bool = False) -> Lease:
-    return Lease(_next(lease, now_ns), party, now_ns, kept, presses, False, _without(lease.asking, party))
+    asking, lost = _without(lease.asking, party), None if kept else lease.lost
+    return Lease(_next(lease, now_ns), party, now_ns, kept, presses, False, asking, lost)
 
 
 def _vacant(lease: Lease, now_ns: int, *, withdraw: bool, loss: str = "") -> Lease:
-    lost = None
+    lost = lease.lost
     if loss and lease.holder is not None and (lease.kept or lease.presses):
         lost = Loss(lease.holder.id, f"{loss} while it pressed: the tip is withdrawn" if withdraw else loss)
     withdraw = withdraw or lease.withdraw

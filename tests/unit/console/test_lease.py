@@ -131,7 +131,9 @@ def test_control_that_is_lost_says_how_and_control_that_is_given_up_says_nothing
         "window A was closed while it pressed: the tip is withdrawn",
     )
     assert let_go(pressed, window, 5).lost is None
-    # An act that ends by itself is no loss, and who has control next ends what was said.
+    # An act ends nothing of what was said, as that of a page which presses on; an act alone is no loss.
+    again = act(current(pressed, late_ns), window, late_ns, presses=True)
+    assert again.lost == ended(again, window, late_ns + 1).lost == ("1", text)
     assert current(act(Lease(), window, 0), late_ns).lost is None
     assert take(current(pressed, late_ns), SECOND, late_ns).lost is None
     assert unpacked(packed(current(pressed, late_ns))).lost == ("1", text)

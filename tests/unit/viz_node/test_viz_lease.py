@@ -262,9 +262,7 @@ def test_handing_over_between_two_windows_works_in_each_order_and_back_again(nam
     first, second = world.pages[:2]
     assert world.desk.has(second.session) and second.believes and not first.presses
     # A page that fell silent while it pressed has its tip withdrawn, and no other has.
-    assert len(world.withdrawn) == (
-        "while it presses" in next(name for name, each in ORDERS_OF_TWO.items() if each is order)
-    )
+    assert len(world.withdrawn) == ("while it presses" in name)
     # A comes back, presses nothing, and is given control again.
     first.stalled = False
     world.pass_time(5)

@@ -12,6 +12,8 @@ const PLACED_MS = 600_000;
 const DEVICES = "*";
 /** After the last press of the stop, and after it is first shown, *Arm* cannot be pressed: a second tap never arms [ms]. */
 const REARM_MS = 1500;
+/** Among so many of the newest events is the one by which a node refused what this page asked for. */
+const REPORTED = 8;
 /** What ends a tip's way back. */
 const INPUTS = ["keydown", "pointerdown", "wheel"] as const;
 
@@ -170,10 +172,11 @@ export class Commands {
     this.answers.tell(text);
   }
 
-  /** Show what became of an action, and keep it in the list of events. */
+  /** Show what became of an action; what no node reports, because it did not reach one, is kept in the list of events. */
   private settle(note: HTMLElement, about: string, outcome: Outcome, text: string, waitedS = 0): void {
     const words = outcomeText(about, outcome, text, waitedS);
     this.answers.settle(note, outcome, words);
-    this.store.note(outcome === "acknowledged" ? "info" : "warning", words);
+    const isReported = outcome === "acknowledged" || this.store.events.slice(-REPORTED).some((event) => event.text !== "" && text.includes(event.text));
+    if (!isReported) this.store.note("warning", words);
   }
 }

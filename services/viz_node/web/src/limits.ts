@@ -47,9 +47,9 @@ export function limitsText(limits: readonly Limit[]): string {
   return limits.map(({ words, out }) => `${words[0]!.toUpperCase()}${words.slice(1)}: ${out}`).join(". ");
 }
 
-/** How far the hand can still go down and up, in words; empty where its travel is not known [m]. */
-export function travelText(position_m: number, travel_m: readonly [number, number] | undefined): string {
-  if (!travel_m || Number.isNaN(position_m)) return "";
+/** What the hand has left of its travel towards the sample, in words, and both ways; empty where it is not known [m]. */
+export function travelText(position_m: number, travel_m: readonly [number, number] | undefined): { short: string; long: string } {
+  if (!travel_m || Number.isNaN(position_m)) return { short: "", long: "" };
   const [up, down] = [position_m - travel_m[0], travel_m[1] - position_m].map((way) => fixed(Math.max(0, way) * 1e3, 1));
-  return `${down} mm down, ${up} mm up`;
+  return { short: `${down} mm left`, long: `The hand can still go ${down} mm down and ${up} mm up` };
 }

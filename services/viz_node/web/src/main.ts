@@ -149,8 +149,7 @@ function show(now: number): void {
   store.look(now);
   cockpit.hand.followTip(store.fact("afm/state/slave", "mode"), cockpit.tip.program, Number(store.fact("haptic/state/master", "session_s") ?? -1) >= 0);
   cockpit.hand.compare();
-  status.draw();
-  const seen = `${next.look(now)} ${seenOf()}`;
+  const seen = `${status.look()} ${next.look(now)} ${seenOf()}`;
   if (seen === written && now - writtenAt <= WRITE_MS) return;
   written = seen;
   writtenAt = now;
@@ -162,7 +161,7 @@ function show(now: number): void {
 /** What of the instant is seen in its pictures, in steps that an eye tells apart. */
 function seenOf(): string {
   const step = (stream: string, column: string, size: number): number => Math.round(store.last(stream, column) / size);
-  return [step("tip", "separation", 1e-9), step("hand", "position", 1e-3), step("hand", "force", 0.2), step("command", "tip_force", 0.2), step("tip", "force", 2e-9)].join();
+  return [step("tip", "separation", 1e-9), step("hand", "position", 1e-3), step("hand", "force", 0.2), step("command", "tip_force", 0.2), step("tip", "force", 2e-9), store.isPictureOld ? Math.round(10 * store.pictureAge) : 0].join();
 }
 
 // Not with the frames alone, of which a slow machine draws few: what an operator must not overlook comes at its time.

@@ -413,13 +413,24 @@ export class View {
       group("What the pointer does", ...Object.values(this.tools)),
       group("What is shown", ...this.showButtons),
       make("span", { class: "spacer" }),
-      group(
-        "View",
-        make("button", { type: "button", "aria-label": "Zoom in", onclick: zoom(0.8) }, "+"),
-        make("button", { type: "button", "aria-label": "Zoom out", onclick: zoom(1.25) }, "−"),
-        make("button", { type: "button", id: "reset-view", onclick: () => this.reset() }, "Reset"),
+      make(
+        "details",
+        { class: "menu", id: "scene-more" },
+        make("summary", { "aria-label": "More of the scene: zoom, heights, stereo, headset" }, "⋯"),
+        make(
+          "div",
+          { class: "sheet" },
+          group(
+            "View",
+            make("button", { type: "button", "aria-label": "Zoom in", onclick: zoom(0.8) }, "+"),
+            make("button", { type: "button", "aria-label": "Zoom out", onclick: zoom(1.25) }, "−"),
+            make("button", { type: "button", id: "reset-view", onclick: () => this.reset() }, "Reset"),
+          ),
+          this.stretchSelect,
+          stereo,
+          this.headset.button,
+        ),
       ),
-      make("details", { class: "menu", id: "scene-more" }, make("summary", { "aria-label": "More of the scene: heights, stereo, headset" }, "⋯"), make("div", { class: "sheet" }, this.stretchSelect, stereo, this.headset.button)),
     );
     this.solid.append(this.legend, this.tag);
     this.views.append(this.solid, this.flat.element, this.section.element);

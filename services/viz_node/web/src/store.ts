@@ -24,8 +24,8 @@ const PAGE = "this page";
 
 /** node/health comes twice a second: a node of which the server had none for this long is lost [s]. */
 export const LOST_S = 0.9;
-/** Visitors come and go. */
-const VISITORS = /^(console|player|estop|view)/;
+/** Visitors come and go, and a page that is heard has a server. */
+const VISITORS = /^(console|player|estop|view|viz_node)/;
 /** Streams of which there are a few samples a second. */
 const SLOW_TOPICS = ["law/status", "link/status"];
 
@@ -124,6 +124,8 @@ export class Store {
       this.seen.add(key);
       this.events.push(event);
     }
+    // of several nodes they come in no order
+    if (tick.events?.length) this.events.sort((one, other) => one.t - other.t);
     if (this.events.length > EVENTS_KEPT) this.events.splice(0, this.events.length - EVENTS_KEPT);
     if (tick.lines?.length) this.onLines(tick.lines);
     if (tick.source) this.source = tick.source;
@@ -135,7 +137,10 @@ export class Store {
   /** Note what became of an action of this page among the events; a recording has only its own. */
   note(level: EventFacts["level"], text: string): void {
     if (this.source.kind !== "live") return;
-    this.take({ k: "tick", events: [{ src: PAGE, seq: this.noted++, t: Date.now() * 1e6, kind: "answer", level, text }] });
+    // by the clock of the rig, as those of the nodes
+    const now_s = this.freshness.newest(performance.now());
+    const t = this.originNs && Number.isFinite(now_s) ? this.originNs + 1e9 * now_s : Date.now() * 1e6;
+    this.take({ k: "tick", events: [{ src: PAGE, seq: this.noted++, t, kind: "answer", level, text }] });
   }
 
   /** Take what the lease has become, and not what it was before: a tick may arrive after the answer that is newer. */

@@ -35,7 +35,7 @@ test("the limits that act are said, and that of a way whose speed is chosen is n
 });
 
 test("what is left of the travel is said both ways", () => {
-  expect(travelText(7.4e-3, [-4.5e-3, 14.5e-3])).toBe("7.1 mm down, 11.9 mm up");
-  expect(travelText(15e-3, [-4.5e-3, 14.5e-3])).toBe("0.0 mm down, 19.5 mm up");
-  expect([travelText(NaN, [-1, 1]), travelText(0, undefined)]).toEqual(["", ""]);
+  expect(travelText(7.4e-3, [-4.5e-3, 14.5e-3])).toEqual({ short: "7.1 mm left", long: "The hand can still go 7.1 mm down and 11.9 mm up" });
+  expect(travelText(15e-3, [-4.5e-3, 14.5e-3]).short).toBe("0.0 mm left");
+  expect([travelText(NaN, [-1, 1]).short, travelText(0, undefined).short]).toEqual(["", ""]);
 });

@@ -86,7 +86,9 @@ export class HandPanel implements Panel {
       show(this.values[i]!, Number.isNaN(value) ? "–" : `${fixed(value, 2)} ${unit}`);
     });
     this.gap.write();
-    show(this.travel, travelText(store.last("hand", "position"), store.travel_m));
+    const travel = travelText(store.last("hand", "position"), store.travel_m);
+    show(this.travel, travel.short);
+    if (this.travel.title !== travel.long) this.travel.title = travel.long;
     const limits = store.isPictureOld ? "" : limitsText(limitsOf(store.fact(HAND, "limited_by"), store.fact(AFM, "limited_by"), store.fact(AFM, "felt_clamp"), store.fact(AFM, "placed") !== false));
     // a limit may act for a sample alone: what lasts is shown
     if (limits === this.limitsBefore) {
