@@ -1,5 +1,5 @@
 import { describe, expect, it } from "vitest";
-import { aloneText } from "../src/panels/next";
+import { aloneText } from "../src/situation";
 import { lowerBy, nextOf, STEPS, stepStates, type Situation } from "../src/next";
 
 const rest: Situation = {
