@@ -1,6 +1,7 @@
 import type { Connection } from "./connection";
 import { creepText } from "./creep";
 import { colour, make } from "./dom";
+import { LOWER_M } from "./next";
 import { Pressing } from "./pressing";
 import type { HandNotice } from "./protocol";
 import { LIMIT_N, springForce } from "./spring";
@@ -162,9 +163,9 @@ export class Hand {
     this.say();
   }
 
-  /** Mean a hand that is held to be lower by so much [m]. */
+  /** Mean a hand that is held to be lower than it is by so much, and lower than it was meant to be [m]. */
   lower(by_m: number): void {
-    if (this.meant !== undefined) this.hold(this.meant + by_m);
+    if (this.meant !== undefined) this.hold(Math.max(this.meant + LOWER_M, this.arm + by_m));
   }
 
   /** Lift the hand by so much and a little more, and hold it there [m]: the tip then meets it in the free. */

@@ -86,13 +86,15 @@ const nothing = (step: Next["step"], says: string): Next => ({ step, says, offer
 const mm = (way_m: number): string => fixed(1e3 * way_m, 1);
 /** Smaller than this no hand is lifted, and no offset counts [m]. */
 const LIFT_M = 0.3e-3;
-/** A press of *Lower* goes this share of the way to the sample, and at least so far [m]. */
+/** A press of *Lower* goes this share of the way to the sample, all of a way that is short, and at least so far [m]. */
 const LOWER_SHARE = 0.75;
-const LOWER_M = 0.5e-3;
+const SHORT_M = 3e-3;
+export const LOWER_M = 0.5e-3;
 
-/** How far one press of *Lower* goes [m]: most of the way to the sample, and a little where that is near or not known. */
+/** How far one press of *Lower* goes [m]: most of the way to the sample, and a little where that is not known. */
 export function lowerBy(needs_m: number): number {
-  return Number.isNaN(needs_m) ? LOWER_M : Math.max(LOWER_M, Math.round(LOWER_SHARE * needs_m * 2e3) / 2e3);
+  if (Number.isNaN(needs_m)) return LOWER_M;
+  return Math.max(LOWER_M, Math.ceil((needs_m > SHORT_M ? LOWER_SHARE : 1) * needs_m * 2e3) / 2e3);
 }
 
 /** What an instrument does that runs a program. */
@@ -114,7 +116,8 @@ export function nextOf(now: Situation): Next {
     const says = now.program ? `${busy(now.program)}. ${now.lease}.` : isFree ? `${now.lease === "Control is free" ? "Nobody holds control" : now.lease}. While you have it, no other window can act.` : `${now.lease}.`;
     return { step: "control", says, offer: now.leaseAction ? offer("take", isFree ? "Take control" : `${now.leaseAction} for control`) : undefined, other: undefined };
   }
-  if (now.going) return { step: "approach", says: `${now.going}. Any key or click stops it there.`, offer: offer("end way", "End it here"), other: undefined };
+  // to end it is no step towards a touch: who presses n once more must not do so by a filled button
+  if (now.going) return { ...nothing("approach", `${now.going}. Any key or click stops it there.`), other: offer("end way", "End it here", "e") };
   return armed(now) ?? touching(now);
 }
 

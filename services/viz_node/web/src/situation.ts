@@ -10,7 +10,7 @@ const HAND = "haptic/state/master";
 /** A page that held the hand and is not heard for this long has lost control, and the tip is withdrawn [s]. */
 const VANISHED_S = 1;
 /** A smaller way of the hand says nothing of the scale between hand and tip [m]. */
-const LEAST_OF_SCALE_M = 2e-3;
+const LEAST_OF_SCALE_M = 0.3e-3;
 
 /** What of the page decides what is next, beside what it knows of the rig. */
 export interface Deciding {

@@ -30,7 +30,7 @@ describe("what is next", () => {
     ["armed with a way back", { wayBack: "Go back to 10.5 nm" }, ["approach", "go back", "stay"]],
     ["armed with a way back, after an act", { wayBack: "Go back to 10.5 nm", holdsControl: false, isControlFree: true }, ["approach", "go back", "stay"]],
     ["it stays withdrawn", { wayBack: "Go back to 10.5 nm", stays: true }, ["approach", "hold", "go back"]],
-    ["on its way back", { wayBack: "Go back to 10.5 nm", going: "The tip goes back: 1.2 s left" }, ["approach", "end way", undefined]],
+    ["on its way back", { wayBack: "Go back to 10.5 nm", going: "The tip goes back: 1.2 s left" }, ["approach", undefined, "end way"]],
     ["placed by a session", { placed: false }, ["approach", undefined, undefined]],
     ["a free hand", {}, ["approach", "hold", undefined]],
     ["a hand that is held", { isHeld: true }, ["approach", "lower", "let go"]],
@@ -97,7 +97,7 @@ describe("what is next", () => {
   });
 
   it("lowers most of the way at once, and a little near the sample", () => {
-    expect([NaN, 0, 0.3e-3, 10e-3].map(lowerBy)).toEqual([0.5e-3, 0.5e-3, 0.5e-3, 7.5e-3]);
+    expect([NaN, 0, 0.3e-3, 2.3e-3, 10e-3].map(lowerBy)).toEqual([0.5e-3, 0.5e-3, 0.5e-3, 2.5e-3, 7.5e-3]);
   });
 
   it("says what happens by itself while nobody hears this page", () => {
