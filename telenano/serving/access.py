@@ -23,17 +23,14 @@ _ORIGIN = re.compile(r"null|[a-z][a-z0-9+.-]*://[^/\s]*")
 
 
 class Role(StrEnum):
-    """Role of a page: all of them may stop the rig, and all but an observer may hold control.
+    """Role of a page: all of them may stop the rig, and an operator may hold control.
 
-    A pupil gets control only when it is handed over; an operator takes free control, a teacher takes it from anyone. A
-    participant of an experiment presses, answers and stops, and sees nothing of the rig.
+    A participant of an experiment presses, answers and stops, and sees nothing of the rig.
     """
 
     OBSERVER = "observer"
-    PUPIL = "pupil"
     PARTICIPANT = "participant"
     OPERATOR = "operator"
-    TEACHER = "teacher"
 
 
 @dataclass(frozen=True)
