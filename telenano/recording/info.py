@@ -7,6 +7,7 @@ from typing import Literal
 from mcap.records import Attachment
 from pydantic import BaseModel, ConfigDict
 
+from telenano.recording.answered_commands import ANSWER_TOPIC, COMMAND_TOPIC, AnsweredCommands
 from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.recording.record_topics import GAP_TOPIC, RECORD_TOPICS
 from telenano.wire.ends import END_TOPIC, read_end
@@ -95,7 +96,8 @@ class RecordingInfo(_Info):
     sentences on oddities that are no loss, such as messages whose times are far from all others. `recorder_lag`: None
     if unknown. `basis`: `messages` if every message was read, `summary` if only the index of a closed file was, which
     does not reveal damaged messages (`telenano.recording.summary_section`). `path` is the first of `parts`; these are
-    empty for a single file.
+    empty for a single file. `commands`: number of answered commands; `commands_by_answer`: of these, those whose own
+    message did not reach the recorder, so that the recording has them in an answer that repeats them.
     """
 
     path: str
@@ -108,6 +110,8 @@ class RecordingInfo(_Info):
     basis: Literal["messages", "summary"] = "messages"
     missing: tuple[str, ...]
     lost: int
+    commands: int = 0
+    commands_by_answer: int = 0
     closed: bool
     recorder_lag: LagInfo | None
     skipped_bytes: int
@@ -202,6 +206,7 @@ class RecordingStatistics:
         self._after_pause = True
         # The last gap that the recorder recorded (first and last missing number), by channel and source.
         self._gaps: dict[tuple[str, str], tuple[int, int]] = {}
+        self.commands = AnsweredCommands()
 
     def begin_file(self, *, after_pause: bool = True) -> None:
         """Begin the next file of the recording; `after_pause`: nothing was recorded since the end of the last one."""
@@ -223,6 +228,8 @@ class RecordingStatistics:
         # A gap followed by a message is not at the end of the channel, even if the publisher restarts its numbers.
         if self._gaps and channel.src:
             self._gaps.pop((channel.channel_topic, channel.src), None)
+        if channel.topic in (COMMAND_TOPIC, ANSWER_TOPIC):
+            self.commands.add(channel.topic, _fields(message))
         if channel.topic == GAP_TOPIC:
             self._add_gap(message)
         elif channel.via == "direct" and channel.src and channel.topic not in RECORD_TOPICS:
@@ -256,7 +263,7 @@ class RecordingStatistics:
         rest = counts[_MOST_NAMED:]
         if rest:
             named.append(f"{total(count for count, _ in rest)} messages on {len(rest)} further channels are missing")
-        return tuple(named)
+        return (*named, *self.commands.missing())
 
     def lag(self) -> LagInfo | None:
         """Return the recorder's lag, None if unknown; replayed nodes are left out because their stamps are old."""

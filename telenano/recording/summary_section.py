@@ -21,6 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Statistics
 
 from telenano.files.regular_files import open_regular
+from telenano.recording.answered_commands import ANSWER_TOPIC, COMMAND_TOPIC, AnsweredCommands
 from telenano.recording.info import ChannelInfo, RecordingInfo, attachments_of, notes_of
 from telenano.recording.mcap_scan import (
     MAGIC,
@@ -124,6 +125,10 @@ class _Summary:
         ]
         # More sentences are summarised by `RecordingStatistics.missing`, in the reading of all messages.
         _demand(len(missing) <= 5)
+        commands = AnsweredCommands()
+        for message in self.select(lambda channel: channel.topic in (COMMAND_TOPIC, ANSWER_TOPIC)):
+            commands.add(message.channel.topic, message.fields())
+        missing += commands.missing()
         missing += notes_of([layout.metadata])
         start_ns, end_ns = self._span()
         return RecordingInfo(
@@ -136,6 +141,8 @@ class _Summary:
             complete=not missing,
             missing=tuple(missing),
             lost=total(count for count, _ in lost),
+            commands=commands.answered,
+            commands_by_answer=commands.by_answer_alone,
             closed=True,
             basis="summary",
             recorder_lag=None,

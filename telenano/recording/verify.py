@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel
 
+from telenano.recording.answered_commands import ANSWER_TOPIC, COMMAND_TOPIC, AnsweredCommands
 from telenano.recording.info import finish_recorded, notes_of
 from telenano.recording.mcap_scan import Damage, describe_damage
 from telenano.recording.messages import RecordedChannel, RecordedMessage
@@ -17,7 +18,7 @@ from telenano.recording.record_topics import GAP_TOPIC, RECORD_TOPICS
 from telenano.recording.session_identity import one_session
 from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.settings.package_topics import row_of
-from telenano.wire.codec import keys_twice, sound_header
+from telenano.wire.codec import fields_of, keys_twice, sound_header
 from telenano.wire.ends import END_TOPIC, read_end
 from telenano.wire.errors import RecordingError
 from telenano.wire.extras import how_to_add_package
@@ -69,13 +70,19 @@ def verify(paths: Sequence[Path], *, same_session: bool = False) -> Verdict:
     trackers: dict[RecordedChannel, SequenceTracker] = {}
     # The last file with a message of each channel.
     newest: dict[RecordedChannel, Recording] = {}
+    commands = AnsweredCommands()
     for recording in recordings:
-        check = _Check(recording, trackers)
+        check = _Check(recording, trackers, commands)
         findings += check.run()
         total += check.messages
         between += _between(recording, check, newest)
         newest |= dict.fromkeys(check.begun(), recording)
     findings += between
+    file = str(recordings[0].path) if recordings else ""
+    findings += [
+        Finding(check="gap", level="warning", file=file, channel=COMMAND_TOPIC, text=text)
+        for text in commands.missing()
+    ]
     findings += _cut(recordings)
     return Verdict(sound=all(finding.level == "info" for finding in findings), messages=total, findings=tuple(findings))
 
@@ -94,18 +101,27 @@ class _Stream:
         self.begun = False
         self.missing: list[tuple[int, int, int]] = []
         self.src = channel.src
-        # End messages need the full check, because their counts are compared.
-        self.topic = "" if channel.topic == END_TOPIC else channel.topic
+        # End messages, commands and answers need the full check, because they are compared.
+        self.topic = "" if channel.topic in (END_TOPIC, COMMAND_TOPIC) else channel.topic
 
 
 class _Check:
     """The check of one file."""
 
-    def __init__(self, recording: Recording, trackers: dict[RecordedChannel, SequenceTracker]) -> None:
-        """Prepare the check of a file; `trackers` are those of the channels in the earlier files, and are continued."""
+    def __init__(
+        self, recording: Recording, trackers: dict[RecordedChannel, SequenceTracker], commands: AnsweredCommands
+    ) -> None:
+        """Prepare the check of a file.
+
+        Args:
+            recording: The file.
+            trackers: Those of the channels in the earlier files, which are continued.
+            commands: Takes the commands and answers of the file.
+        """
         # Channel, first and last seq of what is missing between this file and the earlier ones.
         self.between: list[tuple[RecordedChannel, int, int]] = []
         self._trackers = trackers
+        self._commands = commands
         self._recording = recording
         self._findings: list[Finding] = []
         self._streams: dict[RecordedChannel, _Stream] = {}
@@ -191,7 +207,9 @@ class _Check:
                 self._add_gap_record(record, log_ns)
         else:
             if row_of(topic) is not None:
-                self._check_schema(message)
+                decoded = self._check_schema(message)
+                if decoded is not None and topic in (COMMAND_TOPIC, ANSWER_TOPIC):
+                    self._commands.add(topic, fields_of(decoded))
             elif NAME.fullmatch(topic):
                 self._unknown[topic] += 1
             self._check_sequence(message, stream)

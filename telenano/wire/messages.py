@@ -188,6 +188,10 @@ class HapticState(Message):
         EnergyJ | None,
         about("Net energy that the hand has put into the forces of its device [J]; impedance type"),
     ] = None
+    limited_by: Annotated[
+        Literal["travel", "speed", "force", "operator_force", "end_stop", "voltage", "torque"] | None,
+        about("Limit that is acting, the most lasting one of several; absent if none is"),
+    ] = None
     coupling_energy_j: Annotated[
         EnergyJ | None,
         about("Net energy that the virtual coupling has absorbed [J]; below 0 the coupling has generated energy"),
@@ -310,6 +314,13 @@ class AfmState(_OfHand):
     felt_clamp: Annotated[
         Literal["", "saturated", "bounds", "rate", "left"] | None,
         about("Limit acting on the force computed from it; left: the value has left the branch of the table"),
+    ] = None
+    limited_by: Annotated[
+        Literal["range", "speed", "area", "lateral_speed"] | None,
+        about(
+            "Limit that is acting: of the base its range or speed, or of the stage its area or speed; the most lasting "
+            "one of several, and absent if none is"
+        ),
     ] = None
     command_seq: Annotated[Count, about("seq of the afm/command in force; meaningful once hand_t_ns > 0")]
     base_position_m: Annotated[PositionVector, about("Base position applied after every limit [m]; z = -x_s")]
@@ -662,6 +673,13 @@ class NodeHealth(Message):
         ForceN | None,
         about(
             "Force on the tip above which the guard of this node withdraws it [N]; absent where it has no such guard"
+        ),
+    ] = None
+    travel_m: Annotated[
+        tuple[PositionM, PositionM] | None,
+        about(
+            "Ends of the travel that the guard of this node allows the hand [m], the one away from the sample first; "
+            "towards the sample > 0; absent where it guards no hand"
         ),
     ] = None
     deaf_s: Annotated[
