@@ -8,7 +8,7 @@ It reads files with the plain libraries `mcap` and `msgpack`, and with nothing o
   publisher, up to the count that it, or the link that carried it, announced at its end. They begin at 0 if an earlier
   process is in the file, except of consoles and emergency stops, which repeat a command until it is answered.
 - Number and stamp of a record are those of its message, and the stamps of a process do not go back.
-- With `commands=True`, every command that was acknowledged is in the file.
+- Every command that was answered is in the file, or its answer repeats it.
 """
 
 import io
@@ -157,7 +157,7 @@ class Account:
         if topic == "session/control":
             self.asked.add(fields["id"])
         elif topic == "session/event":
-            if fields.get("kind") == "ack" and fields.get("id"):
+            if fields.get("kind") in ("ack", "refused") and fields.get("id") and not _repeats(fields["data"]):
                 self.answered[fields["id"]] = src
             for place, run, count in _sent(one, site):
                 if place in self.streams:
@@ -186,8 +186,11 @@ def told(*paths: Path) -> dict[tuple[str, str], int]:
     return {place: sum(last + 1 - first for first, last in gaps) for place, gaps in account.told.items()}
 
 
-def check(path: Path, *, commands: bool = False) -> list[str]:
-    """Return a sentence on each fault of a recording; empty if what it tells is what an outsider counts."""
+def check(path: Path, *, commands: bool = True) -> list[str]:
+    """Return a sentence on each fault of a recording; empty if what it tells is what an outsider counts.
+
+    `commands`: whether every answered command has to be there, as in the recording of a rig of this version.
+    """
     seen, closed = _read(path)
     account = Account(seen)
     faults, told = account.faults, account.told
@@ -205,9 +208,15 @@ def check(path: Path, *, commands: bool = False) -> list[str]:
     if commands:
         unknown = [name for name in account.answered if name not in account.asked]
         faults += [
-            f"{account.answered[name]} acknowledged the command {name}, which is not in the file" for name in unknown
+            f"{account.answered[name]} answered the command {name}, which is not in the file" for name in unknown
         ]
     return [f"{path.name}: {text}" for text in faults]
+
+
+def _repeats(data: Any) -> bool:
+    """Return whether the data of an answer repeat its command, which may not have reached the recorder."""
+    texts = (data.get(key) for key in ("command", "target", "giver")) if isinstance(data, dict) else [None]
+    return all(isinstance(text, str) for text in texts)
 
 
 def _sent(one: Seen, site: str) -> Iterator[tuple[tuple[str, str], int | None, int]]:
@@ -269,6 +278,6 @@ def _read(path: Path) -> tuple[list[Seen], bool]:
 
 
 if __name__ == "__main__":
-    found = [text for name in sys.argv[1:] for text in check(Path(name), commands=True)]
+    found = [text for name in sys.argv[1:] for text in check(Path(name))]
     sys.stdout.write("".join(f"{text}\n" for text in found) or "told is counted\n")
     sys.exit(bool(found))
