@@ -13,6 +13,7 @@ from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.keyboard import RawKeyboard
 from telenano.cli.options import JsonOption, RigFileOption, SiteOption, TargetOption
 from telenano.cli.output import print_answer, print_json, report_errors
+from telenano.console.answers import kind_of
 from telenano.console.coupling import recouple
 from telenano.console.going_back import WayBack, go_back
 from telenano.console.lease import CONSOLE
@@ -126,7 +127,7 @@ def send_command(
         else:
             answers = send_control(wanted, book_file, at, show, issued_ns=issued_ns)
     if as_json:
-        rows = {src: {"kind": event.kind, "text": event.text} for src, event in sorted(answers.items())}
+        rows = {src: {"kind": kind_of(event.kind), "text": event.text} for src, event in sorted(answers.items())}
         print_json({"command": command, "target": target, "answers": rows})
     elif command == "arm" and (hint := _way_back(answers.values())):
         typer.echo(hint)
