@@ -48,7 +48,10 @@ def session(
     take: Annotated[bool, typer.Option("--take", help="Take control from a page for this command.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Send a command to a running rig and wait for the answers; exit code 1 if one is refused or missing.
+    """Send a command to a running rig and wait for the answers; exit code 1 unless all who are asked acknowledge it.
+
+    Who is asked follows from site file and target; a pattern such as * asks those that obey the command without their
+    name. From the instrument's site the nodes of the other one are out of reach.
 
     `arm` starts nothing: tip and hand stay where they are. With --return the tip goes back to its place, or to place_m
     at speed_m_per_s.
