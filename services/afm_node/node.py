@@ -131,7 +131,12 @@ class AfmNode(DeviceNode):
         # Compile before the first command; in the retracted state a step changes nothing.
         asked = safety.SafetyInputs(0.0, math.inf, safety.ACTION_HOLD, False, False, 0.0)
         safety.safety_step(self._limits, self._memory.guard, asked, self.period_s)
-        driver.exchange(self._memory.guard.base_m)
+        self._memory.away = driver.report is not None
+        begun_m = self._memory.guard.base_m
+        if self._memory.away:
+            # A real instrument stays where its driver has made it safe.
+            begun_m = min(begun_m, driver.safe_position_m)
+        self._memory.found_m = driver.exchange(begun_m).base_m
         if (report := driver.report) is not None:
             self.has_device(driver.latency_s, driver.calibration_identity)
             self.process_report(report)
@@ -382,7 +387,7 @@ class AfmNode(DeviceNode):
         self._publish_state(step)
         return step.allowed
 
-    def device_health(self) -> Mapping[str, float | str]:
+    def device_health(self) -> Mapping[str, Any]:
         """Return the fields of node/health on the device, and the actual force limit of the guard [N]."""
         return {**super().device_health(), "force_limit_n": self._limits.force_limit_n}
 
@@ -465,10 +470,12 @@ class AfmNode(DeviceNode):
         )
         if is_stated:
             text += "; any command, and a hand that moves or presses, ends it"
+        elif wanted_m > place_m and math.isfinite(guard.surface_m):
+            text += "; the hand is beyond, where the sample is: lift it, and let hand and tip meet again"
         elif wanted_m > place_m:
             text += (
-                f"; the hand is beyond, and the base goes on from there at {1e9 * safety.LET_IN_M_PER_S:g} nm/s until"
-                " the tip feels the sample"
+                f"; the hand is beyond, and the base goes on from there at {1e9 * safety.LET_IN_M_PER_S:g} nm/s, and"
+                " back in front of the sample once the tip has felt it"
             )
         return text, {"placing_s": time_s}
 

@@ -1,6 +1,7 @@
 """The haptic node: sets the pace of the rig, samples the operator's device, and guards it."""
 
-from typing import ClassVar, NamedTuple
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
 
 from services.haptic_node.parts import HapticMemory, Tick, parts_of
 from telenano.extend.hands import (
@@ -38,7 +39,7 @@ _NO_COMMAND = HapticCommand(
 )  # fmt: skip
 _MODE_CODES = {name: code for code, name in MODE_NAMES.items()}
 # These reasons limit the command without changing the mode of the device.
-_LIMITS = (safety.REASON_TRAVEL_LIMIT, safety.REASON_SPEED_LIMIT, safety.REASON_FORCE_LIMIT)
+_LIMITS = {safety.REASON_TRAVEL_LIMIT: "travel", safety.REASON_FORCE_LIMIT: "force", safety.REASON_SPEED_LIMIT: "speed"}
 _NOT_RUNNING_S = -1.0
 # A sample of a real device counts as late if it is older than this number of periods.
 _FRESH_PERIODS = 2
@@ -257,8 +258,13 @@ class HapticNode(DeviceNode):
         memory.guard, applied = safety.step(self._limits, memory.guard, asked, self.period_s)
         return applied
 
+    def device_health(self) -> Mapping[str, Any]:
+        """Return the fields of node/health on the device, and the travel that the guard allows the hand [m]."""
+        return {**super().device_health(), "travel_m": (self._limits.position_min_m, self._limits.position_max_m)}
+
     def _publish_state(self, tick: Tick) -> None:
         command, applied, reading = tick.command, tick.applied, tick.reading
+        limited_by = _limited_by(applied.reason, reading)
         place_m, way_m_per_s, own_n, shown_n = tick.across
         self.publish(
             "haptic/state",
@@ -271,12 +277,13 @@ class HapticNode(DeviceNode):
             estop=applied.estop_latched,
             # The tip must not follow a device whose readings are refused, such as one with a lost encoder.
             armed=applied.armed and tick.added_fields.get("device") != "lost",
-            limited=applied.reason in _LIMITS or _device_limited(reading),
+            limited=limited_by is not None,
             session_s=tick.session_s,
             answered_seq=command.hand_seq,
             answered_t_ns=command.hand_t_ns,
             answered_at_ns=self._memory.command_received_ns,
             step_s=tick.elapsed_s,
+            **({} if limited_by is None else {"limited_by": limited_by}),
             **tick.added_fields,
         )
 
@@ -312,5 +319,16 @@ class HapticNode(DeviceNode):
         return "" if self._memory.gate in (Gate.ACTIVE, Gate.READY) else Gate(self._memory.gate).text
 
 
-def _device_limited(reading: DeviceReading) -> bool:
-    return reading.operator_force_limited or reading.end_stop or reading.voltage_limited or reading.torque_limited
+def _limited_by(reason: int, reading: DeviceReading) -> str | None:
+    """Return the limit that is acting on the hand, the most lasting one of several; None if none is."""
+    of_guard = _LIMITS.get(reason)
+    acting = (
+        (of_guard == "travel", "travel"),
+        (reading.end_stop, "end_stop"),
+        (of_guard == "force", "force"),
+        (reading.operator_force_limited, "operator_force"),
+        (reading.torque_limited, "torque"),
+        (reading.voltage_limited, "voltage"),
+        (of_guard == "speed", "speed"),
+    )
+    return next((name for is_acting, name in acting if is_acting), None)

@@ -21,6 +21,9 @@ ESTOP; otherwise the outputs carry the reason of the refusal. After that the tip
 ARMED until a fresh position command comes, which begins FOLLOW. An e-stop, a retract command or the loss of the device
 cancels the request.
 
+What comes back stays where it was made safe: the base of an instrument that was lost, or that another process drove, is
+where its own read-out finds it (`found_at`).
+
 Arming moves nothing. The references of a hand (`of_hand`) count from the position of the base when FOLLOW begins: the
 base is at reference - offset, and the offset is chosen so that the base stays there. Only the permission `goes` lets
 the base move towards the sample by itself, as far as `place_m`; this motion is called a way:
@@ -30,7 +33,8 @@ the base move towards the sample by itself, as far as `place_m`; this motion is 
 
 Another command ends this motion; if its target is a stated place, so does a hand that moves or presses. The base then
 stays where it is (`ended`). A place that is not finite means the position of the hand, as at the start of a session:
-the base goes there and moves with the hand.
+the base goes there and moves with the hand. Such a way never ends in contact, because nobody may hold the hand: it ends
+a clearance in front of the surface, even of one that it met itself, and the offset to a hand that is beyond stays.
 
 The law sees the base without the offset, so that the offset looks to it like a sample that lies deeper by as much. The
 references of a program (`of_hand` false) are positions of the base, without an offset.
@@ -163,6 +167,15 @@ class SafetyOutputs(NamedTuple):
     arm_refusal: int
     offset_m: float = 0.0
     ended: int = NOT_ENDED
+
+
+def found_at(state: SafetyState, base_m: float) -> SafetyState:
+    """Return the state in which the base stays where the instrument says that it is [m], if that is further away.
+
+    An instrument that comes back may have been made safe by itself, or by somebody else, at another place than the
+    guard would choose. It stays there until a person arms it.
+    """
+    return state._replace(base_m=min(state.base_m, base_m)) if math.isfinite(base_m) else state
 
 
 def initial_safety_state(params: SafetyParams) -> SafetyState:
@@ -352,7 +365,9 @@ def _next_way(
         state = _begun(_worded(state, inputs), inputs)
     elif state.goes:
         ended = _ending(state, inputs)
-    surface = state.base_m if inputs.force_n > SMALL_FORCE_N else state.surface_m
+    # On a way to the hand, attraction shows the surface as well.
+    force = abs(inputs.force_n) if state.goes and not math.isfinite(state.place_m) else inputs.force_n
+    surface = state.base_m if force > SMALL_FORCE_N else state.surface_m
     offset, goes = state.offset_m, state.goes
     if ended == NOT_ENDED and goes:
         offset, ended = _way(params, state, inputs, dt)
@@ -363,8 +378,14 @@ def _next_way(
 
 @compiled
 def _is_on_the_way(way: SafetyState, base_m: float) -> bool:
-    """Return whether a base that goes has not arrived: at a stated place, or where full speed ends before the hand."""
-    return math.isfinite(way.place_m) or (way.offset_m > 0.0 and base_m < nearest_m(way.surface_m) - _SAME_M)
+    """Return whether a base that goes has not arrived: at a stated place, or where full speed ends before the hand.
+
+    A base that has met a surface on its way has arrived once it is in front of that again.
+    """
+    if math.isfinite(way.place_m):
+        return True
+    beyond_m = base_m - nearest_m(way.surface_m)
+    return way.offset_m > 0.0 and (beyond_m < -_SAME_M or (math.isfinite(way.surface_m) and beyond_m > _SAME_M))
 
 
 @compiled
@@ -388,18 +409,27 @@ def _way(params: SafetyParams, state: SafetyState, inputs: SafetyInputs, dt: flo
     if math.isfinite(state.place_m):
         goal = reference - min(max(state.place_m, params.base_min_m), params.base_max_m)
     speed = min(state.speed_m_per_s, params.base_speed_m_per_s)
-    if reference - offset > state.base_m + params.base_speed_m_per_s * dt:
+    is_stated = math.isfinite(state.place_m)
+    least = max(reference - nearest_m(state.surface_m), goal)
+    # A base that goes to the hand stays clear of a surface that is known, also of one that it meets on its way.
+    is_near = not is_stated and math.isfinite(state.surface_m) and offset < least
+    way_m, reach_m = reference - offset - state.base_m, params.base_speed_m_per_s * dt
+    if way_m > reach_m or (way_m < -reach_m and not is_stated):
         # The base has not yet reached reference - offset.
-        return offset, NOT_ENDED
+        return least if is_near else offset, NOT_ENDED
+    if is_near:
+        offset = min(offset + speed * dt, least)
+        return offset, ENDED_THERE if offset == least else NOT_ENDED
     if offset < goal:
         offset = min(offset + speed * dt, goal)
         return offset, ENDED_THERE if offset == goal else NOT_ENDED
-    least = max(reference - nearest_m(state.surface_m), goal)
     if offset > least:
         offset = max(offset - speed * dt, least)
     elif offset > goal:
+        if not is_stated and math.isfinite(state.surface_m):
+            return offset, ENDED_THERE
         if abs(inputs.force_n) > SMALL_FORCE_N:
-            return offset, ENDED_BY_CONTACT
+            return offset, ENDED_BY_CONTACT if is_stated else NOT_ENDED
         offset = max(offset - min(speed, LET_IN_M_PER_S) * dt, goal)
     return offset, ENDED_THERE if offset == goal else NOT_ENDED
 
@@ -469,7 +499,8 @@ def _next_base(
     if mode != MODE_FOLLOW:
         # A base further away than the retract position stays there: retracting never moves towards the sample.
         return max(base_m - params.retract_speed_m_per_s * dt, min(base_m, params.retract_position_m)), 0
-    target = min(max(reference_m, params.base_min_m), params.base_max_m)
+    # A base that was found below its range comes up only as far as its reference does: the range drives nothing.
+    target = min(max(reference_m, min(params.base_min_m, base_m)), params.base_max_m)
     limited = LIMITED_BY_RANGE if target != reference_m else 0
     reach = speed_m_per_s * dt
     base = min(max(target, base_m - reach), base_m + reach)

@@ -33,6 +33,7 @@ from telenano.runtime.bus.local_endpoint import (
 from telenano.runtime.loop.kept_stop import keep
 from telenano.timing.clock import SystemClock
 from telenano.wire.nodes import DEVICES, HAND, LAUNCHERS, LINK, NODES, RECORDER, TIP, is_meant, name_of, site_of
+from telenano.wire.sequence import run_at
 
 _DEADLINE_S = 5.0
 _RESEND_S = 0.05
@@ -304,6 +305,7 @@ class _Sender:
         if by:
             self._fields["by"] = by
         self._clock = SystemClock()
+        self._run = run_at(self._clock.now_ns())
         self._messages: list[bytes] = []
         self.inlets = inlets
 
@@ -317,7 +319,7 @@ class _Sender:
 
     def message(self) -> bytes:
         """Return the packed stop with the next sequence number and the present time."""
-        header = {"seq": len(self._messages), "t_ns": self._clock.now_ns()}
+        header = {"seq": len(self._messages), "t_ns": self._clock.now_ns(), "run": self._run}
         packed: bytes = msgpack.packb({**header, **self._fields})
         return packed
 

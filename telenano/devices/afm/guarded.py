@@ -17,7 +17,7 @@ from telenano.afm.programs.runner import ProgramRunner
 from telenano.extend.instruments import AfmDriver, AfmReport, LateralStage, OwnScan, SafetyParams, Simulation
 from telenano.extend.programs import FinishedLine, Inputs, Wanted
 from telenano.extend.samples import AfmSample, Oscillation
-from telenano.extend.stage import LateralParams, Place, moved
+from telenano.extend.stage import LATERAL_BY_RANGE, LATERAL_BY_SPEED, LateralParams, Place, moved
 from telenano.runtime.loop.device_node import DeviceNode, Parts, StepPart
 from telenano.runtime.loop.node import Node
 from telenano.sections.afm_parts import FrictionConfig
@@ -47,7 +47,8 @@ class AfmMemory(msgspec.Struct, array_like=True):
     whether the tip was placed at the last step; places: whether that has still to be reported after arming. disarmed:
     whether the hand was disarmed while the tip was held, after which no command ends the hold. interrupted: whether
     another command has come since the last step. words: whether an `arm` has to state where the tip may go, which it
-    did not in earlier recordings.
+    did not in earlier recordings. found_m: position of the base at the last step by its read-out [m]; away: whether the
+    device was lost at that step, or has not been seen yet.
     """
 
     guard: safety.SafetyState
@@ -68,6 +69,8 @@ class AfmMemory(msgspec.Struct, array_like=True):
     disarmed: bool = False
     interrupted: bool = False
     words: bool = False
+    found_m: float = 0.0
+    away: bool = False
 
     def asks(
         self, base_m: float, action: int, command_age_s: float, *now: bool, by_hand: tuple[Any, ...] = ()
@@ -90,7 +93,7 @@ class AfmMemory(msgspec.Struct, array_like=True):
 class Step:
     """One step: output of the guard, wanted position, length [s], measured sample, and inputs of a program.
 
-    added_fields: keys of afm/state that the parts add.
+    added_fields: keys of afm/state that the parts add. stage_limited: bits LATERAL_BY_* of the stage.
     """
 
     allowed: safety.SafetyOutputs
@@ -99,6 +102,19 @@ class Step:
     sample: AfmSample = field(init=False)
     inputs: Inputs = field(init=False)
     added_fields: dict[str, Any] = field(default_factory=dict)
+    stage_limited: int = 0
+
+    @property
+    def limited_by(self) -> str | None:
+        """The limit that is acting on the base or the stage, the most lasting one of several; None if none is."""
+        base, stage = self.allowed.limited, self.stage_limited
+        acting = (
+            (base & safety.LIMITED_BY_RANGE, "range"),
+            (stage & LATERAL_BY_RANGE, "area"),
+            (base & safety.LIMITED_BY_SPEED, "speed"),
+            (stage & LATERAL_BY_SPEED, "lateral_speed"),
+        )
+        return next((name for is_acting, name in acting if is_acting), None)
 
     @property
     def follows(self) -> bool:
@@ -120,6 +136,7 @@ class Step:
             "armed": safety.is_armed(self.allowed.mode, self.allowed.reason),
             "placed": memory.placed,
             "step_s": self.elapsed_s,
+            **({} if self.limited_by is None else {"limited_by": self.limited_by}),
             **self.added_fields,
         }
 
@@ -159,6 +176,8 @@ class MapEdge(AfmPart):
             return
         is_quiet = not step.follows or memory.stepped_ns < self._quiet_until_ns
         self._quiet_until_ns = memory.stepped_ns + _QUIET_NS
+        if place != wanted and step.follows:
+            step.stage_limited |= LATERAL_BY_RANGE
         step.wanted = step.wanted._replace(place=place)
         if not is_quiet:
             at = f"x = {wanted.x_m:.4g} m, y = {wanted.y_m:.4g} m"
@@ -175,7 +194,8 @@ class Stage(AfmPart):
 
     def prepare(self, step: Step, memory: AfmMemory) -> None:
         if step.follows and step.wanted.place != memory.place:
-            memory.place = moved(self._params, memory.place, step.wanted.place, step.elapsed_s)[0]
+            memory.place, limited = moved(self._params, memory.place, step.wanted.place, step.elapsed_s)
+            step.stage_limited |= limited
             self._stage.move_to(*memory.place)
 
     def measure(self, step: Step, memory: AfmMemory) -> None:
@@ -316,6 +336,9 @@ class GuardedInstrument:
 
     def step(self, memory: AfmMemory, asked: safety.SafetyInputs, wanted: Wanted[Any], elapsed_s: float) -> Step:
         """Pass the inputs through the guard, apply the base that it allows, and measure."""
+        if memory.away and not asked.device_lost:
+            memory.guard = safety.found_at(memory.guard, memory.found_m)
+        memory.away = asked.device_lost
         memory.guard, allowed = safety.safety_step(self._limits, memory.guard, asked, elapsed_s)
         step = Step(allowed, wanted, elapsed_s)
         self.parts.prepare(step, memory)
@@ -323,7 +346,7 @@ class GuardedInstrument:
         if not step.follows and allowed.base_m <= self._limits.retract_position_m:
             self._vibration.vibrate(0.0)
         step.sample = self._driver.exchange(allowed.base_m)
-        memory.force_n = step.sample.force_n
+        memory.force_n, memory.found_m = step.sample.force_n, step.sample.base_m
         self.parts.measure(step, memory)
         return step
 
