@@ -8,7 +8,7 @@ It reads files with the plain libraries `mcap` and `msgpack`, and with nothing o
   publisher: from 0 on if an earlier process of it is in the file, and up to the count that the publisher, or the link
   that carried it, announced at its end.
 - Number and stamp of a record are those of its message, and the stamps of a process do not go back.
-- With `commands=True`, every command that was acknowledged is in the file.
+- With `commands=True`, every command that was acknowledged is in the file, by its own message or in the answer.
 """
 
 import io
@@ -148,6 +148,9 @@ class Account:
         elif topic == "session/event":
             if fields.get("kind") == "ack" and fields.get("id"):
                 self.answered[fields["id"]] = src
+                if {"command", "target", "giver", "sent_t_ns"} <= fields["data"].keys():
+                    # The answer repeats the command.
+                    self.asked.add(fields["id"])
             for place, run, count in _sent(one, site):
                 if place in self.streams:
                     own = place[1] == src
