@@ -53,8 +53,8 @@ class Command:
     """A command and the `expected` nodes (node@site) that have to answer it.
 
     Who is asked by a pattern follows from the site file (`telenano.console.send_commands.asked`). After a failed
-    command that is not `required`, the next one follows all the same. `by` is the name of the giver of the command. With
-    `placed`, the command is over only when the instrument reports, after its answer, that the tip is placed.
+    command that is not `required`, the next one follows all the same. `by` is the name of the giver of the command.
+    With `placed`, the command is over only when the instrument reports, after its answer, that the tip is placed.
     """
 
     name: CommandName
