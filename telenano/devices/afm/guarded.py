@@ -339,7 +339,9 @@ class GuardedInstrument:
         if is_lost:
             memory.away = True
         elif memory.away and (report is None or report.status == "ok"):
-            memory.guard, memory.away = safety.found_at(memory.guard, memory.found_m), False
+            # Its driver has just sent it to its place of safety, and a slow reading may still show the way there.
+            found_m = min(memory.found_m, self._driver.safe_position_m)
+            memory.guard, memory.away = safety.found_at(memory.guard, found_m), False
 
     def step_program(
         self, memory: AfmMemory, programs: ProgramRunner, elapsed_s: float, estop: bool = False, lost: bool = False

@@ -14,8 +14,8 @@ from telenano_devices.t7.stage_line import StageLine
 from telenano.testing import InstrumentRig, afm_node
 from telenano.wire import RefusedError
 
-# Motion of a base towards the sample that counts as none [m]: below a step of a converter, and of the emulated noise.
-STANDS_M = 2e-10
+# Way towards the sample that a slow controller may still carry out after the tip was made safe [m]: 4 ms of the guard.
+STANDS_M = 4e-3 * PARAMS.safety.base_speed_m_per_s
 # Greatest way of a base towards the sample in a tick of 1 ms [m]: twice the speed of the guard, over the 8 ms in which
 # a slow controller may carry out what several ticks have asked for.
 TICK_M = 2.0 * PARAMS.safety.base_speed_m_per_s * 8e-3
