@@ -320,7 +320,12 @@ class GuardedInstrument:
     def step(self, memory: AfmMemory, asked: safety.SafetyInputs, wanted: Wanted[Any], elapsed_s: float) -> Step:
         """Pass the inputs through the guard, apply the base that it allows, and measure."""
         self._find(memory, asked.device_lost)
+        followed = memory.guard.mode in (safety.MODE_FOLLOW, safety.MODE_HOLD)
         memory.guard, allowed = safety.safety_step(self._limits, memory.guard, asked, elapsed_s)
+        if followed and allowed.mode not in (safety.MODE_FOLLOW, safety.MODE_HOLD) and self._driver.report is not None:
+            # A slow instrument must not go on, after it was made safe, to where the guard had let it go before.
+            memory.guard = safety.found_at(memory.guard, memory.found_m)
+            allowed = allowed._replace(base_m=memory.guard.base_m)
         step = Step(allowed, wanted, elapsed_s)
         self.parts.prepare(step, memory)
         # A tapping tip vibrates until it is retracted: at rest it would lie on the sample, and push particles aside.

@@ -16,8 +16,8 @@ from telenano.wire import RefusedError
 
 # Way towards the sample that a slow controller may still carry out after the tip was made safe [m]: 4 ms of the guard.
 STANDS_M = 4e-3 * PARAMS.safety.base_speed_m_per_s
-# Greatest way of a base towards the sample in a tick of 1 ms [m]: twice the speed of the guard, over the 8 ms in which
-# a slow controller may carry out what several ticks have asked for.
+# Greatest way of a base towards the sample in a tick of 1 ms [m]: twice the speed of the guard, over the 8 ms for which
+# a slow controller catches up at most.
 TICK_M = 2.0 * PARAMS.safety.base_speed_m_per_s * 8e-3
 NEAR_M = -70e-9
 # Time for which a slow controller still carries out what the process before has sent [ms].
