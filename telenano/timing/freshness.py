@@ -161,8 +161,9 @@ class Freshness:
         """
         if hand_t_ns - self._oldest_ns < 0 or not hand_t_ns:
             return
-        reported_ns = self._between_ns + self._added_ns(hand_t_ns)
-        if self._longer.arrived(hand_t_ns, received_ns, reported_ns) or self._longer.ends(received_ns):
+        added_ns = self._added_ns(hand_t_ns)
+        changed = self._longer.arrived(hand_t_ns, received_ns, added_ns, self._between_ns)
+        if self._longer.ends(received_ns) or changed:
             self._note_newest()
 
     def age_s(self, now_ns: int, hand_t_ns: int, message_age_s: float = 0.0) -> float:

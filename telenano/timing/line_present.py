@@ -97,8 +97,8 @@ class Way(msgspec.Struct, array_like=True):
 
     least_ns: the least delay; at_ns: send time of the message with it, by the sender's clock; since_ns: time since
     which it holds, by that clock; jumped_ns: size of the last increase; newest: send times and delays of the last
-    second; is_jump: whether the last increase was a jump rather than gradual; between: most messages between the two sides
-    of a jump.
+    second; is_jump: whether the last increase was a jump rather than gradual; between: most messages between the two
+    sides of a jump.
     """
 
     least_ns: int

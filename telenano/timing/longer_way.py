@@ -29,22 +29,24 @@ class LongerWay(msgspec.Struct, array_like=True):
     until_ns: int = 0
     between: int = 2
 
-    def arrived(self, stamp_ns: int, received_ns: int, reported_ns: int) -> bool:
-        """Record the arrival of a message; return whether it proves a longer way.
+    def arrived(self, stamp_ns: int, received_ns: int, added_ns: int, between_ns: int) -> bool:
+        """Record the arrival of a message; return whether what is found has changed.
 
         Args:
             stamp_ns: The stamp of the hand's sample behind it [ns].
             received_ns: The time of its reception [ns].
-            reported_ns: The delay that the link has reported for it [ns].
+            added_ns: The delay that the link adds on purpose, and announces before it does [ns].
+            between_ns: The delay of the line, with the lead of a clock, as the link has reported it [ns].
         """
-        took_ns = received_ns - stamp_ns - reported_ns
+        took_ns = received_ns - stamp_ns - added_ns
         if self.way is None:
             self.way = Way(took_ns, stamp_ns, stamp_ns, between=self.between)
-        longer_ns = self.way.record(stamp_ns, took_ns)
-        if not 0 < longer_ns or not self.way.is_jump:
-            return False
-        self.more_ns, self.until_ns = min(self.more_ns + longer_ns, MOST_NS), received_ns + _LASTS_NS
-        return True
+        found_ns, over_ns = self.more_ns, max(took_ns - between_ns, 0)
+        if (longer_ns := self.way.record(stamp_ns, took_ns)) > 0 and self.way.is_jump:
+            self.more_ns, self.until_ns = min(self.more_ns + longer_ns, MOST_NS), received_ns + _LASTS_NS
+        # What the newest message took beyond the report is the most: the link may know by now, or the way be shorter.
+        self.more_ns = min(self.more_ns, over_ns)
+        return self.more_ns != found_ns
 
     def reported(self, more_ns: int) -> None:
         """Take off what the link has reported by now: an increase of the way [ns]."""
