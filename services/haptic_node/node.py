@@ -1,6 +1,8 @@
 """The haptic node: sets the pace of the rig, samples the operator's device, and guards it."""
 
-from typing import ClassVar, NamedTuple
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar, NamedTuple
 
 from services.haptic_node.parts import HapticMemory, Tick, parts_of
 from telenano.extend.hands import (
@@ -18,6 +20,7 @@ from telenano.hand import safety
 from telenano.hand.disturbances import DisturbedHaptic
 from telenano.hand.sim import SimulatedHaptic
 from telenano.numerics.frames import to_paper_axis, to_site_frame
+from telenano.runtime.loop.commands import author_of
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.device_node import DeviceNode, Parts
 from telenano.runtime.loop.node import NodeContext
@@ -38,7 +41,7 @@ _NO_COMMAND = HapticCommand(
 )  # fmt: skip
 _MODE_CODES = {name: code for code, name in MODE_NAMES.items()}
 # These reasons limit the command without changing the mode of the device.
-_LIMITS = (safety.REASON_TRAVEL_LIMIT, safety.REASON_SPEED_LIMIT, safety.REASON_FORCE_LIMIT)
+_LIMITS = {safety.REASON_TRAVEL_LIMIT: "travel", safety.REASON_FORCE_LIMIT: "force", safety.REASON_SPEED_LIMIT: "speed"}
 _NOT_RUNNING_S = -1.0
 # A sample of a real device counts as late if it is older than this number of periods.
 _FRESH_PERIODS = 2
@@ -95,10 +98,12 @@ class HapticNode(DeviceNode):
             self._memory.gate = int(Gate.REST)
         if isinstance(device, SimulatedHaptic) and device.about:
             self.event("node", "info", device.about)
-        self._command_is_new = False
+        self._command_is_new, self._command_age_s = False, math.inf
         self._ignored_force = False
         self._switch_pressed = False
         self._reported = (MODE_OFF, safety.REASONS[safety.REASON_COMMAND_STALE])
+        # The newest emergency stop, which is the author of the latch; None if it was the switch of the device.
+        self._stopped_by: SessionControl | None = None
         if device.report is not None:
             self.process_haptic_report(device.report)
         if caution := DRIVERS.caution(config.driver):
@@ -176,6 +181,7 @@ class HapticNode(DeviceNode):
             return "the operator's force profile has ended"
         if control.command == "estop":
             self._memory.estop_requested = True
+            self._stopped_by = control
             return "emergency stop latched: the motor is off until armed"
         if control.command == "arm":
             if self._switch_pressed:
@@ -238,6 +244,7 @@ class HapticNode(DeviceNode):
         self._waits_for = self._reason_to_wait()
         received_ns = memory.command_received_ns
         command_age_s = self.freshness.command_age_s(memory.command, received_ns, self.clock.now_ns())
+        self._command_age_s = command_age_s
         if self._command_is_new:
             self._command_is_new = False
             self.stale += command_age_s > self._limits.command_deadline_s
@@ -258,8 +265,13 @@ class HapticNode(DeviceNode):
         memory.guard, applied = safety.step(self._limits, memory.guard, asked, self.period_s)
         return applied
 
+    def device_health(self) -> Mapping[str, Any]:
+        """Return the fields of node/health on the device, and the travel that the guard allows the hand [m]."""
+        return {**super().device_health(), "travel_m": (self._limits.position_min_m, self._limits.position_max_m)}
+
     def _publish_state(self, tick: Tick) -> None:
         command, applied, reading = tick.command, tick.applied, tick.reading
+        limited_by = _limited_by(applied.reason, reading)
         place_m, way_m_per_s, own_n, shown_n = tick.across
         self.publish(
             "haptic/state",
@@ -272,18 +284,20 @@ class HapticNode(DeviceNode):
             estop=applied.estop_latched,
             # The tip must not follow a device whose readings are refused, such as one with a lost encoder.
             armed=applied.armed and tick.added_fields.get("device") != "lost",
-            limited=applied.reason in _LIMITS or _device_limited(reading),
+            limited=limited_by is not None,
             session_s=tick.session_s,
             answered_seq=command.hand_seq,
             answered_t_ns=command.hand_t_ns,
             answered_at_ns=self._memory.command_received_ns,
             step_s=tick.elapsed_s,
+            **({} if limited_by is None else {"limited_by": limited_by}),
             **tick.added_fields,
         )
 
     def process_haptic_report(self, report: HapticReport) -> None:
         """Process the report of a real device; its own emergency stop latches in this node."""
         self._memory.estop_requested |= report.estop_pressed
+        self._stopped_by = None if report.estop_pressed else self._stopped_by
         self.own_stops += report.estop_pressed and not self._switch_pressed
         self._switch_pressed = report.estop_pressed
         self.process_report(report, is_late=report.age_s > _FRESH_PERIODS * self.period_s)
@@ -298,13 +312,25 @@ class HapticNode(DeviceNode):
         if (applied.mode, text) == self._reported:
             return
         self._reported = (applied.mode, text)
-        self.event(
-            "mode",
-            "info" if reason == safety.REASON_NONE else "warning",
-            text,
-            mode=MODE_NAMES[applied.mode],
-            position_m=self._memory.position_m,
-        )
+        cause, values = self._cause_of(reason)
+        level = "info" if reason == safety.REASON_NONE else "warning"
+        facts = {"mode": MODE_NAMES[applied.mode], "reason": text, "position_m": self._memory.position_m, **values}
+        self.event("mode", level, f"{text} ({cause})" if cause else text, **facts)
+
+    def _cause_of(self, reason: int) -> tuple[str, dict[str, Any]]:
+        """Return who made the guard act, and the value that did, as a clause and as facts for the event."""
+        if reason == safety.REASON_ESTOP and self._stopped_by is not None:
+            return author_of(self._stopped_by)
+        if reason == safety.REASON_ESTOP:
+            return "pressed at the device", {"author": self.context.key}
+        facts = {"author": self.context.key}
+        if reason != safety.REASON_COMMAND_STALE:
+            return "", facts
+        age_s, limit_s = self._command_age_s, self._limits.command_deadline_s
+        if not math.isfinite(age_s):
+            return "none has come", {**facts, "limit_s": limit_s}
+        text = f"the newest one was {1e3 * age_s:.0f} ms old, and its limit is {1e3 * limit_s:.0f} ms"
+        return text, {**facts, "command_age_s": age_s, "limit_s": limit_s}
 
     def _reason_to_wait(self) -> str:
         """Return the reason why an impedance device must not be driven now; empty if it may be."""
@@ -313,5 +339,16 @@ class HapticNode(DeviceNode):
         return "" if self._memory.gate in (Gate.ACTIVE, Gate.READY) else Gate(self._memory.gate).text
 
 
-def _device_limited(reading: DeviceReading) -> bool:
-    return reading.operator_force_limited or reading.end_stop or reading.voltage_limited or reading.torque_limited
+def _limited_by(reason: int, reading: DeviceReading) -> str | None:
+    """Return the limit that is acting on the hand, the most lasting one of several; None if none is."""
+    of_guard = _LIMITS.get(reason)
+    acting = (
+        (of_guard == "travel", "travel"),
+        (reading.end_stop, "end_stop"),
+        (of_guard == "force", "force"),
+        (reading.operator_force_limited, "operator_force"),
+        (reading.torque_limited, "torque"),
+        (reading.voltage_limited, "voltage"),
+        (of_guard == "speed", "speed"),
+    )
+    return next((name for is_acting, name in acting if is_acting), None)

@@ -29,18 +29,18 @@ _MOST_LINE_BYTES = 1 << 20
 # Greatest size of all stored lines together [bytes].
 _MOST_IMAGE_BYTES = 1 << 26
 HEALTH_KEYS = ("state", "uptime_s", "rate_hz", "overruns", "cpu_percent", "memory_bytes", "replay", "lateness_p99_s")
-# Key in the health of a node whose guard has a force limit.
-_LIMIT_KEY = "force_limit_n"
+# Keys in the health of a node whose guard limits the force on the tip, or the travel of the hand.
+_GUARD_KEYS = ("force_limit_n", "travel_m")
 _STATE_KEYS = {
     "haptic/state": ("mode", "estop", "limited", "session_s"),
     "afm/state": ("mode", "limited", "in_contact", "meniscus"),
     "afm/program": ("program", "state", "text", "done_percent", "line", "lines", "values"),
     "law/status": ("law", "switching", "passive", "heard", "silence_s", "dissipated_j", "left_j"),
 }
-# Keys of afm/state if the signal felt by the hand is no force.
-_FELT_KEYS = ("felt_channel", "felt_clamp")
+# Keys that a state may lack: the limit that is acting, and what the hand feels where that is no force.
+_KEYS_IF_THERE = ("limited_by", "felt_channel", "felt_clamp")
 # Return of a tip that was armed at its place: digits of a resolution that a page can show, 0.1 nm, 1 pm/s and 0.1 s.
-_RETURN_DIGITS = {"return_place_m": 10, "return_speed_m_per_s": 12, "return_s": 1}
+_RETURN_DIGITS = {"return_place_m": 10, "return_speed_m_per_s": 12, "return_s": 1, "offset_m": 10}
 # Digits of times that change with each sample, so that they are sent only when the shown value changes.
 _COARSE = {"session_s": 1, "silence_s": 1, "uptime_s": 0}
 # Keys that a message may lack.
@@ -118,11 +118,11 @@ class Feed:
             fields = self._loss.added(seen.fields) if stream.name == "link" else seen.fields
             self._batches[stream.name].add(seen.t_ns - ahead_ns, fields)
         if keys := _STATE_KEYS.get(seen.topic):
-            felt = {key: value for key in _FELT_KEYS if (value := seen.fields.get(key)) is not None}
+            further = {key: value for key in _KEYS_IF_THERE if (value := seen.fields.get(key)) is not None}
             back = {
                 key: round(value, n) for key, n in _RETURN_DIGITS.items() if (value := seen.fields.get(key)) is not None
             }
-            self._set_state(f"{seen.topic}/{site}", _facts(seen.fields, keys) | felt | back)
+            self._set_state(f"{seen.topic}/{site}", _facts(seen.fields, keys) | further | back)
         elif seen.topic == "link/status":
             ways = {way: _facts(seen.fields[way], _WAY_KEYS) for way in ("forward", "backward")}
             clock = seen.fields["clock"]
@@ -163,8 +163,7 @@ class Feed:
         facts["beat"] = seen.t_ns
         if (mates := seen.fields.get("shares_with")) is not None:
             facts["shares_with"] = list(mates)
-        if (limit_n := seen.fields.get(_LIMIT_KEY)) is not None:
-            facts[_LIMIT_KEY] = limit_n
+        facts |= {key: limit for key in _GUARD_KEYS if (limit := seen.fields.get(key)) is not None}
         self._set_node(seen.src, facts)
 
     def _record_event(self, seen: SeenMessage) -> None:

@@ -47,10 +47,16 @@ from telenano.wire.nodes import TIP
 IDLE_S = 0.25
 # Period of the reports to a page whose hand is too slow [s].
 _SLOW_REPORT_PERIOD_S = 0.5
+# Longest time between two frames to a page [s].
+_BEAT_S = 0.2
 # Greatest size of the values of one request to a panel [bytes]: sixteen choices of 128 letters and their names.
 _MOST_ASKED_BYTES = 4096
 # A page that answers later than this was suspended, so the time is not used [s].
 _LONGEST_WAY_S = 5.0
+# Most open pages by role: each role has places that no other takes, so that pages which only look keep no operator out.
+MOST_PAGES = {Role.OBSERVER: 24, Role.OPERATOR: 6, Role.PARTICIPANT: 2}
+# Time in which a page that is told to end must have read so [s].
+_END_S = 2.0
 REVOKED = "this address was revoked, or has expired: ask for another where the rig runs"
 
 
@@ -99,6 +105,8 @@ class Hub:
         self._forms: Mapping[str, Any] = {}
         self.hand = PageHand(open_hand)
         self._reads = ReadDesk(document)
+        # Time of the last transmission of changes to the pages [s].
+        self._sent_s = 0.0
         self._feed = Feed()
         self._withdrawing: asyncio.Task[None] | None = None
         self._about: Mapping[str, Any] = {}
@@ -168,8 +176,11 @@ class Hub:
         self._hold()
         for picture in self._picture.take(changes, time.monotonic()):
             self._offer(picture, self.sessions - self._recipients())
-        if changes:
-            self._offer(changes, self._recipients())
+        now_s = time.monotonic()
+        # A page that gets nothing for longer than this knows that its line is silent, and not the rig.
+        if changes or now_s - self._sent_s >= _BEAT_S:
+            self._sent_s = now_s
+            self._offer({"at_s": now_s, **changes}, self._recipients())
 
     def _take_age(self) -> dict[str, Any]:
         """Once a second, return the parts of the loop's age for the pages, and send each page its round trip."""
@@ -190,8 +201,7 @@ class Hub:
         """
         for session in [each for each in self.sessions if each.person and not self.is_admitted(each.person)]:
             self.desk.refused.note("revoked", f"{session.party.label}: the address was revoked, or has expired")
-            self.leave(session)
-            session.end(_packed({"k": "refused", "text": REVOKED}))
+            self._dismiss(session, REVOKED)
         changes = self.desk.tick(self.sessions, time.monotonic())
         if changes is not None and self.hand.holder is not None and not self.desk.may_press(self.hand.holder):
             self.hand.holder.answer(_packed({"k": "hand", "held": False, "text": f"Let go: {self._who_has_it()}"}))
@@ -212,8 +222,9 @@ class Hub:
 
     async def _withdraw(self, commander: Commander) -> None:
         """Withdraw the tip after its holder has vanished, as after a lost hand, unless another party has control."""
-        number = self.desk.lease.number
-        send = partial(commander.send, "stop", TIP, {}, self.desk.is_to_withdraw, time.monotonic_ns(), "")
+        number, lost = self.desk.lease.number, self.desk.lease.lost
+        why = {"because": "who held control vanished while it pressed" if lost is None else lost.text}
+        send = partial(commander.send, "stop", TIP, why, self.desk.is_to_withdraw, time.monotonic_ns(), "")
         with contextlib.suppress(TelenanoError):
             await asyncio.wrap_future(in_thread(send))
             self.desk.note_withdrawn(number)
@@ -244,6 +255,29 @@ class Hub:
             with contextlib.suppress(TelenanoError):
                 self.hand.outlet()
         return session
+
+    def make_room(self, role: Role) -> str:
+        """Make room for a page of a role; return a sentence if there is none.
+
+        At the limit the page of that role which has done nothing for longest goes, unless it holds control or presses.
+        """
+        most, pages = MOST_PAGES[role], [each for each in self.sessions if each.role is role]
+        if len(pages) < most:
+            return ""
+        idle = [each for each in pages if not self.desk.has(each) and each is not self.hand.holder]
+        if not idle:
+            return f"{len(pages)} pages of this kind are open, which is the most allowed"
+        longest = min(idle, key=lambda each: each.acted_s)
+        self.desk.refused.note("room", f"{longest.party.label}: closed, because {most} pages of this kind were open")
+        self._dismiss(longest, f"this page made room for another one: {most} of its kind were open; load it again")
+        return ""
+
+    def _dismiss(self, session: Session, text: str) -> None:
+        """End a page with a sentence, and drop its connection if it does not read it."""
+        self.leave(session)
+        session.end(_packed({"k": "refused", "text": text}))
+        with contextlib.suppress(RuntimeError):
+            asyncio.get_running_loop().call_later(_END_S, session.drop)
 
     def _free_window(self) -> str:
         """Return the first letter that no window has, on this server or in the lease, which servers share."""
@@ -280,6 +314,7 @@ class Hub:
         return _packed(
             {
                 "k": "snapshot",
+                "at_s": time.monotonic(),
                 "role": session.role,
                 "commands": self.commands.commander is not None,
                 "hand": self.hand.exists,
@@ -304,6 +339,7 @@ class Hub:
                 session.ways_s.append(way_s)
                 session.way_at_s = session.heard_s
             return
+        session.acted_s = session.heard_s
         # A request that was read before the page ended must not give it the hand.
         if session.ended or (session not in self.sessions and isinstance(request, HandRequest | LeaseRequest)):
             return
@@ -316,8 +352,10 @@ class Hub:
         identifier = getattr(request, "id", "")
         try:
             answers = await self._carried_out(session, request, arrived_s)
-            is_ok = not any(kind == "refused" for kind, _ in answers.values())
+            is_ok = bool(answers) and all(kind == "ack" for kind, _ in answers.values())
             text = "; ".join(f"{node}: {text}" for node, (_, text) in sorted(answers.items()))
+            if not is_ok and not any(kind == "refused" for kind, _ in answers.values()):
+                text = f"not acknowledged by all that were asked: {text}"
         except TelenanoError as error:
             is_ok, text = False, str(error)
         except Exception as error:  # noqa: BLE001

@@ -17,9 +17,8 @@ from telenano.console.lease import (
     current,
     ended,
     hand_over,
+    heard,
     let_go,
-    seen,
-    still_asks,
     stood_still,
     take,
     withdrawn,
@@ -56,7 +55,7 @@ class LeaseDesk:
         self._sent_facts: Mapping[str, Any] = {}
         self._sessions: Collection[Session] = ()
         self._clock, self._looked_s = clock, clock()
-        self._beat_s, self._asked_s = 0.0, 0.0
+        self._beat_s = 0.0
         self._withdrawn = -1
 
     def act(self, session: Session, number: int, *, presses: bool = False) -> None:
@@ -102,15 +101,12 @@ class LeaseDesk:
         # If the file cannot be read, pages get no news, and their requests are refused with that reason.
         with contextlib.suppress(RigError):
             self.lease = self._looked()
-            there = next((each for each in sessions if self.has(each)), None)
-            if there is not None and there.heard_s > self._beat_s and now_s - self._beat_s >= BEAT_S:
-                self._beat_s, heard_ns = now_s, round(there.heard_s * 1e9)
-                self.lease = self._register.change(lambda lease, now_ns: seen(lease, there.party, now_ns, heard_ns))
-            asking = {each.party.id for each in self.lease.asking}
-            asked = {each.party.id: round(each.heard_s * 1e9) for each in sessions if each.party.id in asking}
-            if asked and now_s - self._asked_s >= BEAT_S:
-                self._asked_s = now_s
-                self.lease = self._register.change(lambda lease, now_ns: still_asks(lease, asked, now_ns))
+            parties = {each.party.id for each in self.lease.asking}
+            parties |= set() if self.lease.holder is None else {self.lease.holder.id}
+            heard_ns = {each.party.id: round(each.heard_s * 1e9) for each in sessions if each.party.id in parties}
+            if heard_ns and now_s - self._beat_s >= BEAT_S:
+                self._beat_s = now_s
+                self.lease = self._register.change(lambda lease, now_ns: heard(lease, heard_ns, now_ns))
         facts = self.facts()
         if facts == self._sent_facts:
             return None
@@ -135,6 +131,7 @@ class LeaseDesk:
             "what": "" if holder is None else holder.what,
             "kept": self.lease.kept,
             "asking": [[each.party.id, each.party.label] for each in self.lease.asking],
+            "lost": list(self.lease.lost or ()),
         }
 
     def _looked(self) -> Lease:

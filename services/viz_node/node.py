@@ -67,8 +67,11 @@ class PageNode(Node):
         if named != self._reported_party:
             self._reported_party = named
             by = {"by": named.name} if named is not None and named.name else {}
+            lost = self._hub.desk.lease.lost
             text = f"{named.label} holds control" if named else "control is free"
-            self.event("node", "info", text, role=named.role if named else "", **by)
+            if named is None and lost is not None:
+                text = f"{lost.text}; {text}"
+            self.event("node", "info" if lost is None else "warning", text, role=named.role if named else "", **by)
 
     def _count(self) -> None:
         self.steps += 1

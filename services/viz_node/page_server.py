@@ -3,8 +3,8 @@
 import asyncio
 import contextlib
 
-from services.viz_node.hub import Hub
-from services.viz_node.server import MOST_PAGES, make_app
+from services.viz_node.hub import MOST_PAGES, Hub
+from services.viz_node.server import make_app
 from telenano.serving.access import Access
 from telenano.serving.connections import Connections, Listener, most_connections
 from telenano.serving.serve import Tls, make_server, page_folder
@@ -20,7 +20,7 @@ class PageServer:
     def __init__(self, hub: Hub, access: Access, bound: Listener, tls: Tls | None, wake_descriptor: int) -> None:
         """Prepare to serve at a bound address; `run` returns as soon as `wake_descriptor` is readable."""
         # The web server closes its listener, so it gets a copy, and the page can be served again.
-        listener = bound.again(Connections(most_connections(MOST_PAGES + _LEAST_STRANGERS)))
+        listener = bound.again(Connections(most_connections(sum(MOST_PAGES.values()) + _LEAST_STRANGERS)))
         self._server = make_server(make_app(hub, access, page_folder(), listener.connections), tls)
         # The process handles the signals itself.
         self._server.capture_signals = contextlib.nullcontext  # type: ignore[method-assign, assignment]

@@ -2,7 +2,9 @@
 
 import asyncio
 import secrets
+import time
 from collections import deque
+from collections.abc import Callable
 
 from services.viz_node.hand_age import HandAge
 from telenano.console.lease import Party
@@ -27,6 +29,10 @@ class Session:
         self.role, self.person = role, person
         self.party = Party(secrets.token_hex(8), "" if person is None else person.name, role.value, window=window)
         self.heard_s = 0.0
+        # Time of its last request other than a sign of life; at first, that of its opening [s].
+        self.acted_s = time.monotonic()
+        # Drops its connection.
+        self.drop: Callable[[], None] = lambda: None
         # The newest round trips to the page [s].
         self.ways_s: deque[float] = deque(maxlen=9)
         # The time of the newest of them [s], and the lateness of the frames of its hand.

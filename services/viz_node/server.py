@@ -25,7 +25,6 @@ from telenano.serving.gate import POLICY, client_of, end_quietly, guarded
 from telenano.serving.people import Person
 from telenano.timing.clock import SystemClock
 
-MOST_PAGES = 32
 _HELLO_S = SILENCE_S
 # Delay of the answer to a wrong token, which limits the rate of guesses, one per connection [s].
 _WRONG_TOKEN_S = 0.5
@@ -77,8 +76,8 @@ class _PageSocket:
                     POLICY,
                     "the token is wrong: open the address that telenano view --addresses prints where the rig runs",
                 )
-            elif (pages := len(self._hub.sessions)) >= MOST_PAGES:
-                await _refuse(socket, _TRY_LATER, f"{pages} pages are open, which is the most allowed")
+            elif reason := self._hub.make_room(role):
+                await _refuse(socket, _TRY_LATER, reason)
             else:
                 return role, person
             return None
@@ -90,6 +89,8 @@ class _PageSocket:
 
     async def _converse(self, socket: WebSocket, role: Role, person: Person | None) -> None:
         session = self._hub.join(role, person)
+        # The page was told to end, but its client reads nothing.
+        session.drop = lambda: self._connections.drop(client_of(socket.scope))
         sender = asyncio.create_task(_send_all(socket, session))
         try:
             while True:

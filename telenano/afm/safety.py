@@ -33,7 +33,8 @@ the base move towards the sample by itself, as far as `place_m`; this motion is 
 
 Another command ends this motion; if its target is a stated place, so does a hand that moves or presses. The base then
 stays where it is (`ended`). A place that is not finite means the position of the hand, as at the start of a session:
-the base goes there and moves with the hand.
+the base goes there and moves with the hand. Such a way never ends in contact, because nobody may hold the hand: it ends
+a clearance in front of the surface, even of one that it met itself, and the offset to a hand that is beyond stays.
 
 The law sees the base without the offset, so that the offset looks to it like a sample that lies deeper by as much. The
 references of a program (`of_hand` false) are positions of the base, without an offset.
@@ -364,7 +365,9 @@ def _next_way(
         state = _begun(_worded(state, inputs), inputs)
     elif state.goes:
         ended = _ending(state, inputs)
-    surface = state.base_m if inputs.force_n > SMALL_FORCE_N else state.surface_m
+    # On a way to the hand, attraction shows the surface as well.
+    force = abs(inputs.force_n) if state.goes and not math.isfinite(state.place_m) else inputs.force_n
+    surface = state.base_m if force > SMALL_FORCE_N else state.surface_m
     offset, goes = state.offset_m, state.goes
     if ended == NOT_ENDED and goes:
         offset, ended = _way(params, state, inputs, dt)
@@ -375,8 +378,14 @@ def _next_way(
 
 @compiled
 def _is_on_the_way(way: SafetyState, base_m: float) -> bool:
-    """Return whether a base that goes has not arrived: at a stated place, or where full speed ends before the hand."""
-    return math.isfinite(way.place_m) or (way.offset_m > 0.0 and base_m < nearest_m(way.surface_m) - _SAME_M)
+    """Return whether a base that goes has not arrived: at a stated place, or where full speed ends before the hand.
+
+    A base that has met a surface on its way has arrived once it is in front of that again.
+    """
+    if math.isfinite(way.place_m):
+        return True
+    beyond_m = base_m - nearest_m(way.surface_m)
+    return way.offset_m > 0.0 and (beyond_m < -_SAME_M or (math.isfinite(way.surface_m) and beyond_m > _SAME_M))
 
 
 @compiled
@@ -400,18 +409,27 @@ def _way(params: SafetyParams, state: SafetyState, inputs: SafetyInputs, dt: flo
     if math.isfinite(state.place_m):
         goal = reference - min(max(state.place_m, params.base_min_m), params.base_max_m)
     speed = min(state.speed_m_per_s, params.base_speed_m_per_s)
-    if reference - offset > state.base_m + params.base_speed_m_per_s * dt:
+    is_stated = math.isfinite(state.place_m)
+    least = max(reference - nearest_m(state.surface_m), goal)
+    # A base that goes to the hand stays clear of a surface that is known, also of one that it meets on its way.
+    is_near = not is_stated and math.isfinite(state.surface_m) and offset < least
+    way_m, reach_m = reference - offset - state.base_m, params.base_speed_m_per_s * dt
+    if way_m > reach_m or (way_m < -reach_m and not is_stated):
         # The base has not yet reached reference - offset.
-        return offset, NOT_ENDED
+        return least if is_near else offset, NOT_ENDED
+    if is_near:
+        offset = min(offset + speed * dt, least)
+        return offset, ENDED_THERE if offset == least else NOT_ENDED
     if offset < goal:
         offset = min(offset + speed * dt, goal)
         return offset, ENDED_THERE if offset == goal else NOT_ENDED
-    least = max(reference - nearest_m(state.surface_m), goal)
     if offset > least:
         offset = max(offset - speed * dt, least)
     elif offset > goal:
+        if not is_stated and math.isfinite(state.surface_m):
+            return offset, ENDED_THERE
         if abs(inputs.force_n) > SMALL_FORCE_N:
-            return offset, ENDED_BY_CONTACT
+            return offset, ENDED_BY_CONTACT if is_stated else NOT_ENDED
         offset = max(offset - min(speed, LET_IN_M_PER_S) * dt, goal)
     return offset, ENDED_THERE if offset == goal else NOT_ENDED
 

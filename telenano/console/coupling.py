@@ -29,6 +29,10 @@ TOPICS = ("haptic/state", "afm/state", "teleop/backward")
 PRESSING_N = 0.5
 # The hand is at rest while it stays within this distance [m].
 _REST_M = 1e-3
+# Hand and tip are coupled while no greater offset is left between them [m].
+_APART_M = 1e-9
+# The tip comes no nearer to the sample than this by itself [m].
+_CLEARANCE_M = 5e-9
 # Time for which the hand must be at rest [s].
 _REST_S = 0.3
 # Longest wait for the hand to come to rest [s].
@@ -115,7 +119,7 @@ def couple(rig: RunningRig) -> str:
     if reason := states.objection():
         raise RigError(f"not coupled, and nothing has moved: {reason}")
     before_m = states.base_m
-    answer = rig.send(Command("stop", name_of(TIP)))
+    answer = rig.send(Command("stop", name_of(TIP), parameters={"because": "hand and tip are to be coupled again"}))
     if _LATCHED in answer:
         raise RigError(f"not coupled: {answer}, which `telenano session arm` releases")
     states.require(lambda: not states.follows, _RETRACT_S, f"the tip to be withdrawn ({answer})")
@@ -131,6 +135,11 @@ def couple(rig: RunningRig) -> str:
         _PATIENCE_S,
         "a hand that follows: its newest event says why; then couple again",
     )
+    if states.offset_m > _APART_M:
+        raise RigError(
+            f"not coupled: the hand is where the sample is, and the tip waits {1e9 * states.offset_m:.1f} nm away from"
+            " there: lift the hand, and couple again"
+        )
     return (
         f"hand and tip are coupled again: the tip went from {1e9 * before_m:.1f} to {1e9 * states.base_m:.1f} nm, for a"
         f" hand at {1e3 * to_paper_axis(states.hand.reference_m):.2f} mm"
@@ -177,6 +186,17 @@ class _States:
         return bool(self.tip.active)
 
     @property
+    def offset_m(self) -> float:
+        """Distance by which the base stays away from where the hand sends it [m]; 0 if there is none."""
+        return 0.0 if self._afm is None else self._afm.offset_m or 0.0
+
+    @property
+    def is_beyond(self) -> bool:
+        """Whether the place to which the hand sends the base is known, and is in the sample or nearly."""
+        afm = self._afm
+        return afm is not None and afm.separation_valid and self.offset_m > afm.separation_m - _CLEARANCE_M > 0.0
+
+    @property
     def base_m(self) -> float:
         return to_paper_axis(self.tip.position_m if self._afm is None else self._afm.base_position_m)
 
@@ -211,6 +231,8 @@ class _States:
                 " free, or withdraw the tip (`telenano session stop --target afm_node`) and take the hand to where the"
                 " tip may go"
             )
+        if self.is_beyond:
+            return "the hand is where the sample is, and the tip would come there: lift the hand, and couple again"
         if press_n > PRESSING_N:
             return f"the hand presses with {press_n:.2f} N: let go of it, or hold it without force"
         return ""

@@ -4,9 +4,10 @@ Pure functions in virtual time: each takes a lease, a request and the time, and 
 RefusedError with the reason. An emergency stop needs no lease and changes none.
 
 A party that acts while control is free holds it for the duration of the act; *Take* keeps it until the party hands it
-over, releases it, loses it to a teacher, or falls silent. Free control goes to the first party that asks and may take
-it, but only after the tip is withdrawn if its holder vanished while pressing. Each change of holder changes the number
-of the lease. Requests carry the number that their sender saw, so that requests under an earlier lease are refused.
+over, releases it, loses it to `--take` at a terminal of the rig, or falls silent. Free control goes to the first party
+that asks, but only after the tip is withdrawn if its holder vanished while pressing. Each change of holder changes the
+number of the lease. Requests carry the number that their sender saw, so that requests under an earlier lease are
+refused. `lost` says of free control how its last holder lost it without wanting to.
 """
 
 from collections.abc import Mapping
@@ -23,8 +24,6 @@ BEAT_S = 0.25
 # A request for control expires if its party is silent for this time [ns].
 ASKED_NS = 3 * VANISHED_NS
 _MOST_ASKING = 16
-# Roles that never take control; at most it is handed over to them.
-_NEVER_TAKE = ("observer", "participant", "pupil")
 # Most letters of a person's name.
 MOST_LETTERS = 48
 # Commands that need no lease, because they end a motion or move nothing.
@@ -38,8 +37,8 @@ CONSOLE = "console"
 class Party(NamedTuple):
     """A page or a process that may hold control.
 
-    `id`: unique to this page or process; `name`: the given name of its person, or empty; `role`: observer, pupil,
-    participant, operator or teacher; `what`: page, or the kind of process; `window`: the letter of a page of a person
+    `id`: unique to this page or process; `name`: the given name of its person, or empty; `role`: observer, participant
+    or operator; `what`: page, or the kind of process; `window`: the letter of a page of a person
     without a name, or empty.
     """
 
@@ -54,7 +53,7 @@ class Party(NamedTuple):
         """The name shown to others."""
         if self.window and not self.name:
             return f"window {self.window}"
-        who = {"operator": "the operator's page", "participant": "the participant"}.get(self.role, f"a {self.role}")
+        who = {"operator": "the operator's page", "participant": "the participant"}.get(self.role, "an observer")
         return self.name or (who if self.what == PAGE else f"the {self.what} at the rig")
 
     @property
@@ -75,12 +74,19 @@ class Asking(NamedTuple):
     seen_ns: int
 
 
+class Loss(NamedTuple):
+    """How a holder lost control without wanting to: the id of the party, and a sentence."""
+
+    id: str
+    text: str
+
+
 class Lease(NamedTuple):
     """State of control. All times are by the monotonic clock of the machine [ns].
 
     `number`: rises whenever control changes its holder or becomes free; `kept`: True if it lasts longer than one act;
     `presses`: True if the holder's hand pushes; `withdraw`: True if a holder vanished while pressing, so that the tip
-    must be withdrawn.
+    must be withdrawn; `lost`: the last loss, until a party takes control, and not only for an act.
     """
 
     number: int = 0
@@ -90,6 +96,7 @@ class Lease(NamedTuple):
     presses: bool = False
     withdraw: bool = False
     asking: tuple[Asking, ...] = ()
+    lost: Loss | None = None
 
     def is_held_by(self, party: Party) -> bool:
         """Return whether a party holds control."""
@@ -99,17 +106,18 @@ class Lease(NamedTuple):
 def current(lease: Lease, now_ns: int) -> Lease:
     """Return the lease as of now, without a holder that vanished and without expired requests.
 
-    Free control is granted to the first party that asks, was heard within VANISHED_NS, and may take it. A time in the
-    future is from before the machine was booted and counts as expired.
+    Free control is granted to the first party that asks and was heard within VANISHED_NS. A time in the future is from
+    before the machine was booted and counts as expired.
     """
     asking = tuple(each for each in lease.asking if 0 <= now_ns - each.seen_ns <= ASKED_NS)
     lease = lease if asking == lease.asking else lease._replace(asking=asking)
     if lease.holder is not None and not 0 <= now_ns - lease.seen_ns <= VANISHED_NS:
-        lease = _vacant(lease, now_ns, withdraw=lease.presses)
+        silent = f"{lease.holder.label} was not heard for {max(0, now_ns - lease.seen_ns) * 1e-9:.1f} s"
+        lease = _vacant(lease, now_ns, withdraw=lease.presses, loss=silent)
     # Withdraw a pending tip first, because the next holder must not get control of a pressing tip.
     if lease.holder is None and not lease.withdraw:
         heard = (each for each in lease.asking if now_ns - each.seen_ns <= VANISHED_NS)
-        first = next((each for each in heard if each.party.role not in _NEVER_TAKE), None)
+        first = next(heard, None)
         if first is not None:
             return _granted(lease, first.party, now_ns, kept=True)._replace(seen_ns=first.seen_ns)
     return lease
@@ -128,8 +136,6 @@ def act(lease: Lease, party: Party, now_ns: int, number: int = 0, *, presses: bo
     if holder is None:
         if number:
             raise RefusedError("control is free: this belongs to an earlier lease")
-        if party.role == "pupil":
-            raise RefusedError("a pupil gets control only when it is handed over: ask for it")
         return _granted(lease, party, now_ns, kept=False, presses=presses)
     if holder.id != party.id:
         if party.role == "participant" and holder.what == EXPERIMENT:
@@ -142,33 +148,31 @@ def act(lease: Lease, party: Party, now_ns: int, number: int = 0, *, presses: bo
     return lease._replace(seen_ns=now_ns, presses=presses or lease.presses)
 
 
-def take(lease: Lease, party: Party, now_ns: int) -> Lease:
-    """Let a party take and keep control that is free or held by the same owner; a teacher may take anyone's.
+def take(lease: Lease, party: Party, now_ns: int, *, from_anyone: bool = False) -> Lease:
+    """Let a party take and keep control that is free, held by the same owner, or with `from_anyone` held by any other.
 
     Raises:
         RefusedError: The role may not take control, or another party holds it.
     """
     lease = current(lease, now_ns)
     holder = lease.holder
-    if party.role in _NEVER_TAKE and not lease.is_held_by(party):
-        raise RefusedError(f"a {party.role} cannot take control")
+    if party.role != "operator":
+        raise RefusedError(f"{Party('', role=party.role).label} cannot hold control")
     if lease.is_held_by(party):
         return lease._replace(kept=True, seen_ns=now_ns)
-    if holder is not None and party.role != "teacher" and not _are_the_owners(party, holder):
+    if holder is not None and not from_anyone and not _are_the_owners(party, holder):
         raise RefusedError(f"{holder.label} holds control: ask for it")
     return _granted(lease, party, now_ns, kept=True)
 
 
 def ask(lease: Lease, party: Party, now_ns: int) -> Lease:
-    """Request control; free control is granted at once, except to a pupil. A person has one request, the latest.
+    """Request control; free control is granted at once. A person has one request, the latest.
 
     Raises:
         RefusedError: The role cannot hold control, or there are too many requests.
     """
     lease = current(lease, now_ns)
-    if party.role in ("observer", "participant"):
-        raise RefusedError(f"a {party.role} cannot hold control")
-    if lease.holder is None and party.role != "pupil":
+    if lease.holder is None or party.role != "operator":
         return take(lease, party, now_ns)
     if lease.is_held_by(party):
         return lease
@@ -179,7 +183,7 @@ def ask(lease: Lease, party: Party, now_ns: int) -> Lease:
 
 
 def hand_over(lease: Lease, party: Party, to: str, now_ns: int, number: int) -> Lease:
-    """Hand control over to a party that asks; the holder or a teacher may do so.
+    """Let the holder hand control over to a party that asks.
 
     Args:
         lease: The lease.
@@ -189,11 +193,11 @@ def hand_over(lease: Lease, party: Party, to: str, now_ns: int, number: int) -> 
         number: The number of the lease that the party saw.
 
     Raises:
-        RefusedError: The party is neither holder nor teacher, saw an earlier lease, or the receiver does not ask.
+        RefusedError: The party is not the holder, saw an earlier lease, or the receiver does not ask.
     """
     lease = current(lease, now_ns)
-    if party.role != "teacher" and not lease.is_held_by(party):
-        raise RefusedError("only the holder of control, or a teacher, can hand it over")
+    if not lease.is_held_by(party):
+        raise RefusedError("only the holder of control can hand it over")
     if number != lease.number:
         raise RefusedError("this belongs to an earlier lease")
     receiver = next((each.party for each in lease.asking if to in ("", each.party.id)), None)
@@ -211,7 +215,8 @@ def let_go(lease: Lease, party: Party, now_ns: int, *, vanished: bool = False) -
     lease = lease._replace(asking=_without(lease.asking, party))
     if not lease.is_held_by(party):
         return lease
-    return _vacant(lease, now_ns, withdraw=vanished and lease.presses)
+    loss = f"{party.label} was closed" if vanished else ""
+    return _vacant(lease, now_ns, withdraw=vanished and lease.presses, loss=loss)
 
 
 def ended(lease: Lease, party: Party, now_ns: int) -> Lease:
@@ -222,18 +227,13 @@ def ended(lease: Lease, party: Party, now_ns: int) -> Lease:
     return lease._replace(presses=False) if lease.kept else _vacant(lease, now_ns, withdraw=False)
 
 
-def seen(lease: Lease, party: Party, now_ns: int, heard_ns: int | None = None) -> Lease:
-    """Record that a party was heard, now or at the earlier time `heard_ns` [ns]."""
-    lease = current(lease, now_ns)
-    if not lease.is_held_by(party):
+def heard(lease: Lease, heard_ns: Mapping[str, int], now_ns: int) -> Lease:
+    """Record the times [ns] at which the holder, and parties that ask for control, were last heard, by their ids."""
+    asking = tuple(each._replace(seen_ns=max(each.seen_ns, heard_ns.get(each.party.id, 0))) for each in lease.asking)
+    lease = current(lease if asking == lease.asking else lease._replace(asking=asking), now_ns)
+    if lease.holder is None or lease.holder.id not in heard_ns:
         return lease
-    return lease._replace(seen_ns=now_ns if heard_ns is None else max(lease.seen_ns, min(heard_ns, now_ns)))
-
-
-def still_asks(lease: Lease, heard_ns: Mapping[str, int], now_ns: int) -> Lease:
-    """Record the times [ns] at which parties that ask for control were last heard, by their ids."""
-    asking = [each._replace(seen_ns=max(each.seen_ns, heard_ns.get(each.party.id, 0))) for each in lease.asking]
-    return current(lease._replace(asking=tuple(asking)), now_ns)
+    return lease._replace(seen_ns=max(lease.seen_ns, min(heard_ns[lease.holder.id], now_ns)))
 
 
 def stood_still(lease: Lease, party: Party, now_ns: int) -> Lease:
@@ -268,11 +268,16 @@ def _are_the_owners(party: Party, holder: Party) -> bool:
 
 
 def _granted(lease: Lease, party: Party, now_ns: int, *, kept: bool, presses: bool = False) -> Lease:
-    return Lease(_next(lease, now_ns), party, now_ns, kept, presses, False, _without(lease.asking, party))
+    asking, lost = _without(lease.asking, party), None if kept else lease.lost
+    return Lease(_next(lease, now_ns), party, now_ns, kept, presses, False, asking, lost)
 
 
-def _vacant(lease: Lease, now_ns: int, *, withdraw: bool) -> Lease:
-    return Lease(_next(lease, now_ns), None, now_ns, withdraw=withdraw or lease.withdraw, asking=lease.asking)
+def _vacant(lease: Lease, now_ns: int, *, withdraw: bool, loss: str = "") -> Lease:
+    lost = lease.lost
+    if loss and lease.holder is not None and (lease.kept or lease.presses):
+        lost = Loss(lease.holder.id, f"{loss} while it pressed: the tip is withdrawn" if withdraw else loss)
+    withdraw = withdraw or lease.withdraw
+    return Lease(_next(lease, now_ns), None, now_ns, withdraw=withdraw, asking=lease.asking, lost=lost)
 
 
 def _next(lease: Lease, now_ns: int) -> int:

@@ -6,9 +6,10 @@ import secrets
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
-from telenano.console.lease import BEAT_S, CONSOLE, Lease, Party, act, current, let_go, packed, seen, take, unpacked
+from telenano.console.lease import BEAT_S, CONSOLE, Lease, Party, act, current, heard, let_go, packed, take, unpacked
 from telenano.files.atomic_files import changed
 from telenano.files.regular_files import open_regular, read_regular
 from telenano.runtime.bus.local_endpoint import runtime_directory
@@ -121,21 +122,23 @@ class Hold:
     def _beat(self) -> None:
         while not self._over.wait(BEAT_S):
             with contextlib.suppress(RigError):
-                self._register.change(lambda lease, now_ns: seen(lease, self.party, now_ns))
+                self._register.change(lambda lease, now_ns: heard(lease, {self.party.id: now_ns}, now_ns))
 
 
 # The present hold of this process, if any.
 _held: list[Hold] = []
 
 
-def this_process(what: str = CONSOLE, *, role: str = "operator") -> Party:
+def this_process(what: str = CONSOLE) -> Party:
     """Return this process as a party, under the name that TELENANO_NAME gives it."""
-    return Party(secrets.token_hex(8), os.environ.get(NAME_VARIABLE, ""), role, what)
+    return Party(secrets.token_hex(8), os.environ.get(NAME_VARIABLE, ""), what=what)
 
 
 @contextlib.contextmanager
-def holding(what: str, *, role: str = "operator", register: LeaseRegister | None = None) -> Iterator[Hold]:
-    """Hold control for a program, an experiment or a command of a teacher while the block runs.
+def holding(what: str, *, from_anyone: bool = False, register: LeaseRegister | None = None) -> Iterator[Hold]:
+    """Hold control for a program, an experiment or a command while the block runs, even if another party holds it.
+
+    Only with `from_anyone` is it taken from a party that is not the owner of the rig.
 
     Raises:
         RefusedError: Another party holds control; the sentence names it.
@@ -143,8 +146,9 @@ def holding(what: str, *, role: str = "operator", register: LeaseRegister | None
     if _held:
         yield _held[-1]
         return
-    party = this_process(what, role=role)
-    hold = Hold(party, register or LeaseRegister(), lambda lease, now_ns: take(lease, party, now_ns))
+    party = this_process(what)
+    step = partial(take, party=party, from_anyone=from_anyone)
+    hold = Hold(party, register or LeaseRegister(), lambda lease, now_ns: step(lease, now_ns=now_ns))
     _held.append(hold)
     try:
         yield hold

@@ -82,6 +82,11 @@ class Connections:
         if connection := self._open.get(client):
             connection.is_page = True
 
+    def drop(self, client: Any) -> None:
+        """Drop a connection, even of a page: it was told to end, and its client reads nothing."""
+        if (connection := self._open.get(client)) and not connection.is_dropped:
+            connection.drop()
+
     def drop_silent(self) -> None:
         """Drop the connections whose request has not come within `SILENCE_S`."""
         now_s = time.monotonic()

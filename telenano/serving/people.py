@@ -19,7 +19,7 @@ from telenano.runtime.security.private_files import check_runtime_directory, rea
 from telenano.wire.errors import ConfigError
 from telenano.wire.printable import printable
 
-ROLES = ("observer", "pupil", "operator", "teacher")
+ROLES = ("observer", "operator")
 _MOST_PEOPLE = 1000
 _MOST_MINUTES = 60 * 24 * 366
 _TOKEN_BYTES = 24

@@ -20,8 +20,8 @@ class LeaseOfRig:
 
         self._register.change(lambda lease, now_ns: current(lease, now_ns + 2 * VANISHED_NS))
 
-    def take_for_page(self, name: str, role: str = "teacher") -> None:
-        """Take control for the page of a person."""
+    def take_for_page(self, name: str) -> None:
+        """Take control for the page of a person, from whoever holds it."""
         from telenano.console.lease import Party, take
 
-        self._register.change(lambda lease, now_ns: take(lease, Party("page", name, role), now_ns))
+        self._register.change(lambda lease, now_ns: take(lease, Party("page", name), now_ns, from_anyone=True))

@@ -65,6 +65,7 @@ def about(description: str | None = None, pattern: str | None = None, **rules: A
 
 Source = Annotated[str, about(pattern=SOURCE_PATTERN, max_length=64)]
 Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+Run = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 Stamp = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]
 RawCount = Annotated[int, Meta(ge=-(2**31), le=2**31 - 1)]
 # A message without maps and lists has at most 4096 bytes (`telenano.wire.codec`), which also limits its texts.
@@ -108,6 +109,7 @@ class Message(Record):
     # `accept` checks the pattern once for each source: in each message that would take as long as all the rest.
     src: Annotated[str, about("Publisher, node@site", max_length=64, extra_json_schema={"pattern": SOURCE_PATTERN})]
     v: Annotated[int, about("Schema version of this message", ge=1)]
+    run: Annotated[Run | None, about("Process of src that numbers its messages; another one after each restart")] = None
 
 
 class _OfHand(Message):
@@ -185,6 +187,10 @@ class HapticState(Message):
     hand_energy_j: Annotated[
         EnergyJ | None,
         about("Net energy that the hand has put into the forces of its device [J]; impedance type"),
+    ] = None
+    limited_by: Annotated[
+        Literal["travel", "speed", "force", "operator_force", "end_stop", "voltage", "torque"] | None,
+        about("Limit that is acting, the most lasting one of several; absent if none is"),
     ] = None
     coupling_energy_j: Annotated[
         EnergyJ | None,
@@ -308,6 +314,13 @@ class AfmState(_OfHand):
     felt_clamp: Annotated[
         Literal["", "saturated", "bounds", "rate", "left"] | None,
         about("Limit acting on the force computed from it; left: the value has left the branch of the table"),
+    ] = None
+    limited_by: Annotated[
+        Literal["range", "speed", "area", "lateral_speed"] | None,
+        about(
+            "Limit that is acting: of the base its range or speed, or of the stage its area or speed; the most lasting "
+            "one of several, and absent if none is"
+        ),
     ] = None
     command_seq: Annotated[Count, about("seq of the afm/command in force; meaningful once hand_t_ns > 0")]
     base_position_m: Annotated[PositionVector, about("Base position applied after every limit [m]; z = -x_s")]
@@ -660,6 +673,13 @@ class NodeHealth(Message):
         ForceN | None,
         about(
             "Force on the tip above which the guard of this node withdraws it [N]; absent where it has no such guard"
+        ),
+    ] = None
+    travel_m: Annotated[
+        tuple[PositionM, PositionM] | None,
+        about(
+            "Ends of the travel that the guard of this node allows the hand [m], the one away from the sample first; "
+            "towards the sample > 0; absent where it guards no hand"
         ),
     ] = None
     deaf_s: Annotated[

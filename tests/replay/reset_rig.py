@@ -67,7 +67,9 @@ class Stretch(NamedTuple):
 class ResetRig(VirtualRig):
     """The rig, with a person at a page for a hand."""
 
-    def __init__(self, law: str = "virtual_impedance", seed: int = 1, **controller: Any) -> None:
+    def __init__(
+        self, law: str = "virtual_impedance", seed: int = 1, *, rate_hz: int | None = None, **controller: Any
+    ) -> None:
         """Build a rig under a law, whose link delays nothing but by a millisecond."""
         self.tips: list[At] = []
         self.hands: list[At] = []
@@ -82,7 +84,8 @@ class ResetRig(VirtualRig):
             "controller": {"law": law, **controller},
             "afm_node": {"rest_distance_m": 10.0e-9},
         }
-        super().__init__(None, seed, (), _TIMING, document)
+        settings = () if rate_hz is None else (f"realtime.rate_hz={rate_hz}",)
+        super().__init__(None, seed, settings, _TIMING, document)
         self.page = self.endpoint("viz_node@master")
         self.said = [Stretch(0.0, False)]
         self._to_hand = False

@@ -58,7 +58,7 @@ def session(
     """
     if command == "estop":
         raise typer.Exit(run_estop(EstopRequest(target, site or "", site_file, as_json)))
-    with report_errors(as_json), holding(CONSOLE, role="teacher") if take else contextlib.nullcontext():
+    with report_errors(as_json), holding(CONSOLE, from_anyone=True) if take else contextlib.nullcontext():
         if command == "couple":
             if parameters or target != "*" or site == "slave":
                 raise ConfigError("couple takes no parameters and no target, and is given at the master's site")

@@ -17,7 +17,7 @@ from telenano.afm.programs.runner import ProgramRunner
 from telenano.extend.instruments import AfmDriver, AfmReport, LateralStage, OwnScan, SafetyParams, Simulation
 from telenano.extend.programs import FinishedLine, Inputs, Wanted
 from telenano.extend.samples import AfmSample, Oscillation
-from telenano.extend.stage import LateralParams, Place, moved
+from telenano.extend.stage import LATERAL_BY_RANGE, LATERAL_BY_SPEED, LateralParams, Place, moved
 from telenano.runtime.loop.device_node import DeviceNode, Parts, StepPart
 from telenano.runtime.loop.node import Node
 from telenano.sections.afm_parts import FrictionConfig
@@ -91,17 +91,31 @@ class AfmMemory(msgspec.Struct, array_like=True):
 
 @dataclass(slots=True)
 class Step:
-    """One step: output of the guard, wanted position, length [s], measured sample, and inputs of a program.
+    """One step: inputs and output of the guard, wanted position, length [s], measured sample, inputs of a program.
 
-    added_fields: keys of afm/state that the parts add.
+    added_fields: keys of afm/state that the parts add. stage_limited: bits LATERAL_BY_* of the stage.
     """
 
+    asked: safety.SafetyInputs
     allowed: safety.SafetyOutputs
     wanted: Wanted[Any]
     elapsed_s: float
     sample: AfmSample = field(init=False)
     inputs: Inputs = field(init=False)
     added_fields: dict[str, Any] = field(default_factory=dict)
+    stage_limited: int = 0
+
+    @property
+    def limited_by(self) -> str | None:
+        """The limit that is acting on the base or the stage, the most lasting one of several; None if none is."""
+        base, stage = self.allowed.limited, self.stage_limited
+        acting = (
+            (base & safety.LIMITED_BY_RANGE, "range"),
+            (stage & LATERAL_BY_RANGE, "area"),
+            (base & safety.LIMITED_BY_SPEED, "speed"),
+            (stage & LATERAL_BY_SPEED, "lateral_speed"),
+        )
+        return next((name for is_acting, name in acting if is_acting), None)
 
     @property
     def follows(self) -> bool:
@@ -123,6 +137,7 @@ class Step:
             "armed": safety.is_armed(self.allowed.mode, self.allowed.reason),
             "placed": memory.placed,
             "step_s": self.elapsed_s,
+            **({} if self.limited_by is None else {"limited_by": self.limited_by}),
             **self.added_fields,
         }
 
@@ -162,6 +177,8 @@ class MapEdge(AfmPart):
             return
         is_quiet = not step.follows or memory.stepped_ns < self._quiet_until_ns
         self._quiet_until_ns = memory.stepped_ns + _QUIET_NS
+        if place != wanted and step.follows:
+            step.stage_limited |= LATERAL_BY_RANGE
         step.wanted = step.wanted._replace(place=place)
         if not is_quiet:
             at = f"x = {wanted.x_m:.4g} m, y = {wanted.y_m:.4g} m"
@@ -178,7 +195,8 @@ class Stage(AfmPart):
 
     def prepare(self, step: Step, memory: AfmMemory) -> None:
         if step.follows and step.wanted.place != memory.place:
-            memory.place = moved(self._params, memory.place, step.wanted.place, step.elapsed_s)[0]
+            memory.place, limited = moved(self._params, memory.place, step.wanted.place, step.elapsed_s)
+            step.stage_limited |= limited
             self._stage.move_to(*memory.place)
 
     def measure(self, step: Step, memory: AfmMemory) -> None:
@@ -326,7 +344,7 @@ class GuardedInstrument:
             # A slow instrument must not go on, after it was made safe, to where the guard had let it go before.
             memory.guard = safety.found_at(memory.guard, memory.found_m)
             allowed = allowed._replace(base_m=memory.guard.base_m)
-        step = Step(allowed, wanted, elapsed_s)
+        step = Step(asked, allowed, wanted, elapsed_s)
         self.parts.prepare(step, memory)
         # A tapping tip vibrates until it is retracted: at rest it would lie on the sample, and push particles aside.
         if not step.follows and allowed.base_m <= self._limits.retract_position_m:

@@ -4,6 +4,7 @@ Optional features of a device or its settings are parts of the node's step. The 
 is built, so that no step has to check which features exist (ADR 0067).
 """
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Generic, TypeVar
 
@@ -11,6 +12,8 @@ from telenano.runtime.loop.node import Node, NodeContext
 from telenano.wire.messages import NodeHealth, SessionControl
 from telenano.wire.received import Received
 
+# A measured number with its unit, which changes from one report to the next although nothing else does.
+_MEASURED = re.compile(r"\d+(\.\d+)?(e[-+]?\d+)?(?= ?(ms|s|Hz|mm|nm|m|mN|nN|N|mV|V|A|%)\b)")
 S = TypeVar("S")
 M = TypeVar("M")
 
@@ -84,12 +87,15 @@ class DeviceNode(Node):
         """Report the delay that a real device declares [s] and the identity of its calibration in node/health."""
         self._device_health = {"device_latency_s": latency_s, "calibration": calibration}
 
-    def device_health(self) -> Mapping[str, float | str]:
+    def device_health(self) -> Mapping[str, Any]:
         ages_s, self._ages_s = self._ages_s, []
         return {**self._device_health, **({"device_age_s": sum(ages_s) / len(ages_s)} if ages_s else {})}
 
     def process_report(self, report: Any, *, is_late: bool = False) -> None:
         """Record status and age_s of a report of a real device; publish its text as an event when it changes.
+
+        Measured numbers do not count as a change: a driver that states the age of its sample would publish in each
+        period. The end of a trouble is an event as well.
 
         Args:
             report: The report, with status, age_s and text.
@@ -98,7 +104,9 @@ class DeviceNode(Node):
         self.is_lost = report.status == "lost"
         if not self.is_lost:
             self._ages_s.append(report.age_s)
-        if report.text != self._device_text:
-            self._device_text = report.text
-            is_ready = report.status == "ok" and not is_late
-            self.event("node" if is_ready else "fault", "info" if is_ready else "warning", report.text)
+        text = _MEASURED.sub("", report.text)
+        if text != self._device_text:
+            self._device_text = text
+            is_ready = (report.status == "ok" and not is_late) or not report.text
+            said = report.text or "the device answers again"
+            self.event("node" if is_ready else "fault", "info" if is_ready else "warning", said)

@@ -163,7 +163,7 @@ class Node(ABC):
         """Publish a notice that a path of this process was removed, or was made again."""
         self.event("fault", notice.level, notice.text, path=notice.path, state=notice.state)
 
-    def device_health(self) -> Mapping[str, float | str]:
+    def device_health(self) -> Mapping[str, Any]:
         """Return the fields of node/health on a real device, for the time since the last call."""
         return {}
 

@@ -65,13 +65,38 @@ def test_a_base_that_goes_to_a_place_is_not_placed_before_it_is_there() -> None:
 
 
 @pytest.mark.parametrize("force_n", [1.1e-9, -1.1e-9])
-def test_a_way_beyond_the_rest_point_ends_where_the_tip_feels_the_sample(force_n: float) -> None:
-    state, _ = armed(12e-9, goes=True)
+def test_a_way_to_a_stated_place_beyond_the_rest_point_ends_where_the_tip_feels_the_sample(force_n: float) -> None:
+    state, _ = armed(12e-9, goes=True, place_m=11e-9)
     state, _ = run(state, 100, reference_m=12e-9)
     state, (output,) = run(state, 1, reference_m=12e-9, force_n=force_n)
     assert (output.ended, state.goes) == (safety.ENDED_BY_CONTACT, False)
     _, outputs = run(state, 200, reference_m=12e-9)
     assert outputs[-1].base_m == pytest.approx(output.base_m, rel=0.0, abs=1e-15)
+
+
+def test_a_way_to_the_hand_never_ends_in_contact() -> None:
+    """A hand that nobody holds may be anywhere, and so may the surface, known or not."""
+    draw = random.Random(117)
+    for _ in range(300):
+        reference_m, surface_m = draw.uniform(-30e-9, 30e-9), draw.uniform(-20e-9, 25e-9)
+        n_per_m, pull_n = draw.uniform(0.5, 10.0), draw.choice((0.0, 3e-9))
+        is_known, moves_m = draw.random() < 0.5, draw.choice((0.0, 2e-9))
+        state = RETRACTED._replace(surface_m=surface_m) if is_known else RETRACTED
+        state, output = armed(reference_m, state, goes=True)
+        for tick in range(4000):
+            into_m = output.base_m - surface_m
+            force_n = n_per_m * into_m - pull_n if into_m > 0.0 else 0.0
+            at_m = reference_m + moves_m * math.sin(0.01 * tick)
+            state, (output,) = run(state, 1, reference_m=at_m, force_n=force_n)
+            if not state.goes:
+                break
+        case = (reference_m, surface_m, n_per_m, pull_n, is_known, moves_m)
+        assert not state.goes and output.ended == safety.ENDED_THERE, case
+        assert safety.is_placed(output), case
+        # It is off the surface: as far as the clearance, but for what it went on before it felt 1 nN.
+        assert output.base_m <= surface_m, case
+        if is_known:
+            assert output.base_m <= surface_m - 0.99 * safety.CLEARANCE_M, case
 
 
 @pytest.mark.parametrize("speed_m_per_s", [0.5 * safety.LET_IN_M_PER_S, 10.0 * safety.LET_IN_M_PER_S])

@@ -47,7 +47,7 @@ def test_a_recording_says_who_gave_each_command_and_who_had_the_hand(
         control(4, "set"),
         # an emergency stop at the inlet of a device is known by its answer alone
         event(1, "latched", "e-1", command="estop", by="Paul"),
-        event(2, "Paul holds control", by="Paul", role="pupil"),
+        event(2, "Paul holds control", by="Paul", role="operator"),
         event(3, "control is free", role=""),
     ]
     writer = RecordingWriter.create("recorder@master", RecorderConfig(directory=tmp_path))

@@ -134,3 +134,21 @@ def test_repetitions_between_fresh_messages_or_young_ones_are_no_restart() -> No
     for seq in range(150, 200):
         assert tracker.accept(seq, 100 * SECOND_NS + seq) is Arrival.DUPLICATE
     assert tracker.restarts == 0
+
+
+def test_a_measured_number_is_no_news_and_the_end_of_a_trouble_is_no_empty_event(bench: Any) -> None:
+    node = device_node(bench)
+    bench.take("session/event")
+    texts = ["", *(f"my_handle has been silent for {ms} ms" for ms in range(60, 140, 4)), "joint 3 is hot: 71.5 V", ""]
+    texts += ["joint 4 is hot: 72.5 V", "joint 4 is hot: 73 V", "", ""]
+    for text in texts:
+        node.process_report(SimpleNamespace(status="lost" if text else "stale", age_s=0.0, text=text), is_late=True)
+    told = [(event.kind, event.level, event.text) for event in bench.take("session/event")]
+    again = ("node", "info", "the device answers again")
+    assert told == [
+        ("fault", "warning", "my_handle has been silent for 60 ms"),
+        ("fault", "warning", "joint 3 is hot: 71.5 V"),
+        again,
+        ("fault", "warning", "joint 4 is hot: 72.5 V"),
+        again,
+    ]

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from services.viz_node.lease_desk import LeaseDesk, OwnRegister
 from services.viz_node.page_session import Session
 from services.viz_node.requests import LeaseRequest
-from telenano.console.lease import ASKED_NS, VANISHED_NS, Lease, act, take
+from telenano.console.lease import ASKED_NS, CONSOLE, VANISHED_NS, Lease, Party, act, take
 from telenano.serving.access import Role
 from telenano.serving.people import Person
 from telenano.wire.errors import RefusedError
 
 TICK_NS, HERE_NS, WAY_NS = 33_000_000, 250_000_000, 40_000_000
-ROLES = (Role.TEACHER, Role.PUPIL, Role.PUPIL, Role.OPERATOR)
+PAGES = 4
 
 
 @dataclass
@@ -45,7 +45,7 @@ class World:
         self.desk = self._desk()
         self.server_stalled = False
         self.serial = 0
-        self.pages = [self._page(role) for role in ROLES]
+        self.pages = [self._page() for _ in range(PAGES)]
         self.numbers: dict[int, str] = {}
         self.withdrawn: list[int] = []
         self.old: list[tuple[Session, int]] = []
@@ -53,9 +53,9 @@ class World:
     def _desk(self) -> LeaseDesk:
         return LeaseDesk(self.register, lambda: self.now_ns * 1e-9)
 
-    def _page(self, role: Role) -> Page:
+    def _page(self) -> Page:
         self.serial += 1
-        session = Session(role, Person(f"{role}-{self.serial}", role, "", 1e12))
+        session = Session(Role.OPERATOR, Person(f"person {self.serial}", "operator", "", 1e12))
         session.heard_s = self.now_ns * 1e-9
         return Page(session, told=self.desk.facts())
 
@@ -65,16 +65,16 @@ class World:
             page.stalled = not page.stalled
         elif what == "vanish":
             self.desk.leave(page.session)
-            self.pages[index % len(self.pages)] = self._page(page.session.role)
+            self.pages[index % len(self.pages)] = self._page()
         elif what == "stall server":
             self.server_stalled = not self.server_stalled
         elif what == "restart server":
             # its pages connect again, as others, and what it knew is gone
             self.desk, self.server_stalled = self._desk(), False
-            self.pages = [self._page(page.session.role) for page in self.pages]
+            self.pages = [self._page() for _ in self.pages]
         elif what == "console takes":
-            party = Session(Role.TEACHER).party
-            self.register.change(lambda lease, now_ns: take(lease, party, now_ns))
+            party = Party("console", what=CONSOLE)
+            self.register.change(lambda lease, now_ns: take(lease, party, now_ns, from_anyone=True))
         elif what not in ("estop", "restart hand") and not page.stalled and not self.server_stalled:
             # an emergency stop, and a hand that is started anew, do not ask who has the lease
             self._ask(page, what)
@@ -185,16 +185,10 @@ def test_who_vanishes_has_lost_it_within_a_second_and_a_pressed_tip_is_withdrawn
     page = world.pages[index]
     page.stalled = False
     world.pass_time(40)
-    world.do("console takes" if page.session.role is Role.PUPIL else "take", index)
-    teacher = world.lease.holder
-    if page.session.role is Role.PUPIL:
-        # the console grants it
-        world.do("ask", index)
-        world.register.change(lambda lease, now_ns: lease._replace(number=lease.number + 1, holder=page.session.party))
-        assert teacher is not None
+    world.do("take", index)
     world.pass_time(3)
     if world.lease.holder != page.session.party:
-        # an operator's page takes nothing from others
+        # a page takes nothing from others
         return
     world.do("press", index)
     assert world.lease.presses
@@ -208,17 +202,17 @@ def test_who_vanishes_has_lost_it_within_a_second_and_a_pressed_tip_is_withdrawn
 
 def test_pages_that_ask_are_shown_for_as_long_as_they_are_open_and_not_after_a_kill_of_the_server() -> None:
     world = World()
-    teacher, pupils = world.pages[0], world.pages[1:3]
+    first, others = world.pages[0], world.pages[1:3]
     world.do("take", 0)
     for index in (1, 2):
         world.do("ask", index)
     # longer than who asks may be silent
     world.pass_time(round(2 * ASKED_NS / TICK_NS))
-    assert [each[0] for each in world.desk.facts()["asking"]] == [page.session.party.id for page in pupils]
-    assert world.desk.has(teacher.session)
-    pupils[0].stalled = True
+    assert [each[0] for each in world.desk.facts()["asking"]] == [page.session.party.id for page in others]
+    assert world.desk.has(first.session)
+    others[0].stalled = True
     world.pass_time(round(1.5 * ASKED_NS / TICK_NS))
-    assert [each[0] for each in world.desk.facts()["asking"]] == [pupils[1].session.party.id]
+    assert [each[0] for each in world.desk.facts()["asking"]] == [others[1].session.party.id]
     # a server that was killed has said of none of its pages that they have left
     world.do("restart server", 0)
     world.pass_time(round(1.5 * ASKED_NS / TICK_NS))
@@ -228,7 +222,7 @@ def test_pages_that_ask_are_shown_for_as_long_as_they_are_open_and_not_after_a_k
 def test_the_end_of_a_withdrawal_leaves_that_of_a_later_holder_to_be_done() -> None:
     world = World()
     numbers = []
-    # a teacher, and while the stop is on its way another operator
+    # a page, and while the stop is on its way another one
     for index in (0, 3):
         world.do("take", index)
         world.desk.act(world.pages[index].session, world.lease.number, presses=True)
@@ -245,3 +239,36 @@ def test_the_end_of_a_withdrawal_leaves_that_of_a_later_holder_to_be_done() -> N
     assert world.desk.is_to_withdraw()
     world.desk.note_withdrawn(world.desk.lease.number)
     assert not world.desk.is_to_withdraw()
+
+
+# Two windows, A and B: what happens in turn, and who has control then. In each order B asks for it.
+ORDERS_OF_TWO = {
+    "A hands over": [("take", 0), ("ask", 1), ("hand_over", 0)],
+    "A gives it up": [("take", 0), ("ask", 1), ("let_go", 0)],
+    "A holds it for an act that ends": [("press", 0), ("ask", 1), ("release", 0)],
+    "A is closed": [("take", 0), ("ask", 1), ("vanish", 0)],
+    "A falls silent while it presses": [("take", 0), ("press", 0), ("ask", 1), ("stall", 0)],
+    "B is loaded again and asks again": [("take", 0), ("ask", 1), ("vanish", 1), ("ask", 1), ("hand_over", 0)],
+}
+
+
+@pytest.mark.parametrize("name", ORDERS_OF_TWO)
+def test_handing_over_between_two_windows_works_in_each_order_and_back_again(name: str) -> None:
+    world = World()
+    for what, index in ORDERS_OF_TWO[name]:
+        world.pass_time(3)
+        world.do(what, index)
+    world.pass_time(3 + (VANISHED_NS + HERE_NS) // TICK_NS)
+    first, second = world.pages[:2]
+    assert world.desk.has(second.session) and second.believes and not first.presses
+    # A page that fell silent while it pressed has its tip withdrawn, and no other has.
+    assert len(world.withdrawn) == ("while it presses" in name)
+    # A comes back, presses nothing, and is given control again.
+    first.stalled = False
+    world.pass_time(5)
+    with pytest.raises(RefusedError):
+        world.desk.act(first.session, 0, presses=True)
+    for what, index in (("ask", 0), ("hand_over", 1)):
+        world.do(what, index)
+        world.pass_time(3)
+    assert world.desk.has(first.session) and first.believes and not second.believes

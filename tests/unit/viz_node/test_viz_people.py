@@ -22,6 +22,7 @@ from services.viz_node import hub as hubs
 from services.viz_node.feed import SeenMessage
 from services.viz_node.metrics import metrics_text
 from telenano.cli.root import app
+from telenano.console.lease import CONSOLE, Party, take
 from telenano.serving.access import Role
 from telenano.serving.people import People
 from telenano.testing import until
@@ -83,12 +84,12 @@ def test_an_address_has_a_name_a_role_and_an_end_and_is_revoked_at_once(people: 
     now_s = 1000.0
     people = People(tmp_path, lambda: now_s)
     access = replace(ACCESS, people=people)
-    paul, tina = people.add(PAUL, "pupil", 30.0), people.add(TINA, "teacher", 90.0)
-    assert (access.role_of(paul), access.role_of(tina)) == (Role.PUPIL, Role.TEACHER)
+    paul, tina = people.add(PAUL, "observer", 30.0), people.add(TINA, "operator", 90.0)
+    assert (access.role_of(paul), access.role_of(tina)) == (Role.OBSERVER, Role.OPERATOR)
     assert paul not in (tmp_path / "people.json").read_text()
     assert (tmp_path / "people.json").stat().st_mode & 0o077 == 0
     now_s += 31.0 * 60.0
-    assert (access.role_of(paul), access.role_of(tina)) == (None, Role.TEACHER)
+    assert (access.role_of(paul), access.role_of(tina)) == (None, Role.OPERATOR)
     # a second server of the same rig reads what changed
     other = People(tmp_path, lambda: now_s)
     other.revoke(TINA)
@@ -104,14 +105,14 @@ def test_an_address_has_a_name_a_role_and_an_end_and_is_revoked_at_once(people: 
 @pytest.mark.parametrize(
     ("name", "role", "minutes", "reason"),
     [
-        ("", "pupil", 1.0, "1 to 48"),
-        ("x" * 49, "pupil", 1.0, "1 to 48"),
-        ("\x1b[2J", "pupil", 1.0, "printable"),
-        (" x", "pupil", 1.0, "printable"),
-        ("x", "king", 1.0, "must be one of observer, pupil"),
-        ("x", "pupil", 0.0, "above 0"),
-        ("x", "pupil", float("inf"), "above 0"),
-        ("x", "pupil", float("nan"), "above 0"),
+        ("", "operator", 1.0, "1 to 48"),
+        ("x" * 49, "operator", 1.0, "1 to 48"),
+        ("\x1b[2J", "operator", 1.0, "printable"),
+        (" x", "operator", 1.0, "printable"),
+        ("x", "king", 1.0, "must be one of observer, operator"),
+        ("x", "operator", 0.0, "above 0"),
+        ("x", "operator", float("inf"), "above 0"),
+        ("x", "operator", float("nan"), "above 0"),
     ],
 )
 def test_what_is_no_name_role_or_time_is_refused(
@@ -122,7 +123,7 @@ def test_what_is_no_name_role_or_time_is_refused(
 
 
 def test_a_file_that_others_can_read_or_that_is_none_admits_nobody(people: People, tmp_path: Path) -> None:
-    token, file = people.add(PAUL, "pupil", 30.0), tmp_path / "people.json"
+    token, file = people.add(PAUL, "operator", 30.0), tmp_path / "people.json"
     file.chmod(0o644)
     os.utime(file, (1, 1))
     assert people.find(token) is None
@@ -133,20 +134,20 @@ def test_a_file_that_others_can_read_or_that_is_none_admits_nobody(people: Peopl
     assert people.find(token) is None
 
 
-def test_a_pupil_that_sends_what_a_teacher_may_is_refused_and_counted_and_the_loop_is_not_disturbed(
+def test_a_page_that_sends_what_its_holder_may_is_refused_and_counted_and_the_loop_is_not_disturbed(
     rig: Rig, client: TestClient, stack: ExitStack, people: People
 ) -> None:
-    teacher = Named(stack, client, people.add(TINA, "teacher", 30.0))
-    pupil = Named(stack, client, people.add(PAUL, "pupil", 30.0))
-    assert teacher.lease("take")["ok"] is True
-    number = teacher.told(TINA)["number"]
-    # the page was changed by its person: it sends the number that is the teacher's
+    holder = Named(stack, client, people.add(TINA, "operator", 30.0))
+    other = Named(stack, client, people.add(PAUL, "operator", 30.0))
+    assert holder.lease("take")["ok"] is True
+    number = holder.told(TINA)["number"]
+    # the page was changed by its person: it sends the number that is the other's
     for request in (command(lease=number), command(command="arm"), command(command="couple")):
-        assert pupil.ask(**request)["text"] == f"{TINA} holds control: ask for it"
-    pupil.send({"k": "hand", "force_n": 5.0, "held": True, "lease": number})
-    assert pupil.take("hand")["text"] == f"{TINA} holds control: ask for it"
+        assert other.ask(**request)["text"] == f"{TINA} holds control: ask for it"
+    other.send({"k": "hand", "force_n": 5.0, "held": True, "lease": number})
+    assert other.take("hand")["text"] == f"{TINA} holds control: ask for it"
     for action in ("take", "hand_over"):
-        assert pupil.lease(action, number, pupil.snapshot["me"])["ok"] is False
+        assert other.lease(action, number, other.snapshot["me"])["ok"] is False
     assert (rig.hand, rig.commander.sent) == ([], [])
     assert rig.hub.desk.refused.rejected == {"lease": 6}
     assert PAUL in rig.hub.desk.refused.last_error
@@ -158,34 +159,36 @@ def test_a_pupil_that_sends_what_a_teacher_may_is_refused_and_counted_and_the_lo
     assert "the token is wrong" in Page(stack, client, "made-up-token").take("refused")["text"]
     assert rig.hub.desk.refused.rejected == {"lease": 6, "role": 2, "token": 1}
     # what anybody may
-    assert pupil.ask(**command(command="mark", target="recorder"))["ok"] is True
-    assert pupil.ask(k="estop")["ok"] is True
+    assert other.ask(**command(command="mark", target="recorder"))["ok"] is True
+    assert other.ask(k="estop")["ok"] is True
+
+
+def taken_at_a_terminal(rig: Rig) -> None:
+    rig.hub.desk._register.change(lambda lease, now_ns: take(lease, Party("c", what=CONSOLE), now_ns, from_anyone=True))
 
 
 def test_the_hand_goes_from_one_to_the_other_and_what_was_held_is_let_go(
     rig: Rig, client: TestClient, stack: ExitStack, people: People
 ) -> None:
-    teacher = Named(stack, client, people.add(TINA, "teacher", 30.0))
-    pupil = Named(stack, client, people.add(PAUL, "pupil", 30.0))
-    assert pupil.lease("ask")["text"] == "lease: control is free"
-    asking = teacher.told("")["asking"]
-    assert asking == [[pupil.snapshot["me"], PAUL]]
-    taken = teacher.lease("take")
+    tina = Named(stack, client, people.add(TINA, "operator", 30.0))
+    paul = Named(stack, client, people.add(PAUL, "operator", 30.0))
+    taken = tina.lease("take")
     assert taken["text"] == f"lease: {TINA} holds control"
     # a command that is given before any tick has told of the lease
     number = taken["lease"]["number"]
-    assert teacher.ask(**command(lease=number))["ok"] is True
+    assert tina.ask(**command(lease=number))["ok"] is True
     rig.commander.sent.clear()
-    assert teacher.lease("hand_over", number, asking[0][0])["text"] == f"lease: {PAUL} holds control"
-    number = pupil.told(PAUL)["number"]
-    pupil.send({"k": "hand", "force_n": 1.0, "held": True, "lease": number})
+    assert paul.lease("ask")["ok"] is True
+    assert tina.lease("hand_over", number, paul.snapshot["me"])["text"] == f"lease: {PAUL} holds control"
+    number = paul.told(PAUL)["number"]
+    paul.send({"k": "hand", "force_n": 1.0, "held": True, "lease": number})
     until(lambda: 1.0 in rig.hand)
-    assert teacher.lease("take")["ok"] is True
-    assert pupil.take("hand")["text"] == f"Let go: {TINA} holds control now"
+    taken_at_a_terminal(rig)
+    assert paul.take("hand")["text"] == "Let go: the console at the rig holds control now"
     until(lambda: rig.hand[-1] == 0.0)
     # the same force, sent once more
-    pupil.send({"k": "hand", "force_n": 1.0, "held": True, "lease": number})
-    assert pupil.take("hand")["held"] is False
+    paul.send({"k": "hand", "force_n": 1.0, "held": True, "lease": number})
+    assert paul.take("hand")["held"] is False
     assert rig.hand[-1] == 0.0
     # a hand that was taken is no hand that was lost
     assert rig.commander.sent == []
@@ -195,11 +198,10 @@ def test_a_command_that_is_being_sent_ends_when_the_hand_is_taken(
     rig: Rig, client: TestClient, stack: ExitStack, people: People
 ) -> None:
     otto = Named(stack, client, people.add(OTTO, "operator", 30.0))
-    teacher = Named(stack, client, people.add(TINA, "teacher", 30.0))
     rig.commander.held.clear()
     otto.send({"id": "long", **command(command="couple")})
     until(lambda: rig.commander.begun)
-    assert teacher.lease("take")["ok"] is True
+    taken_at_a_terminal(rig)
     assert otto.take("answer")["ok"] is False
     assert rig.commander.sent == []
 
@@ -240,13 +242,13 @@ def test_commands_and_forces_say_who_gave_them(
 def test_the_command_gives_an_address_at_each_page_of_the_rig(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path))
     run = CliRunner().invoke
-    alone = run(app, ["view", "--for", PAUL, "--role", "pupil"])
+    alone = run(app, ["view", "--for", PAUL, "--role", "operator"])
     assert alone.exit_code == 2 and "no page of this rig is served" in alone.output
     monkeypatch.setattr(view_command, "served_addresses", lambda folders: ADDRESSES)
-    given = run(app, ["view", "--for", PAUL, "--role", "pupil", "--for-minutes", "30"])
+    given = run(app, ["view", "--for", PAUL, "--role", "operator", "--for-minutes", "30"])
     head, _, token = given.output.strip().partition("#")
-    assert head == f"{PAUL} (pupil, 30 min): http://127.0.0.1:8650/"
-    assert replace(ACCESS, people=People()).role_of(token) is Role.PUPIL
+    assert head == f"{PAUL} (operator, 30 min): http://127.0.0.1:8650/"
+    assert replace(ACCESS, people=People()).role_of(token) is Role.OPERATOR
     assert run(app, ["view", "--revoke", PAUL]).output == f"the address of {PAUL} is revoked\n"
     assert replace(ACCESS, people=People()).role_of(token) is None
     assert run(app, ["view", "--revoke", PAUL]).exit_code == 2

@@ -243,25 +243,58 @@ def test_text_is_refused(client: TestClient, stack: ExitStack) -> None:
     assert "binary frames" in page.take("refused")["text"]
 
 
-def test_fifty_pages_are_too_many_and_those_that_are_in_go_on(client: TestClient, stack: ExitStack) -> None:
-    pages = [Page(stack, client) for _ in range(server.MOST_PAGES)]
-    for page in pages:
-        page.take("snapshot")
-    for _ in range(50 - server.MOST_PAGES):
-        with ExitStack() as short:
-            assert f"{server.MOST_PAGES} pages are open" in Page(short, client).take("refused")["text"]
-    assert all(page.ask(**command())["ok"] for page in pages)
-
-
-def test_pages_that_connect_at_once_and_say_hello_later_are_no_more_than_may_be(
-    client: TestClient, stack: ExitStack
+def test_each_role_has_its_places_and_observers_keep_nobody_out(
+    rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    connected = [stack.enter_context(client.websocket_connect("/bus", headers=HEADERS)) for _ in range(36)]
-    kinds = []
-    for socket in connected:
-        socket.send_bytes(msgpack.packb({"k": "hello", "token": ACCESS.operator_token, "protocol": 1}))
-        kinds.append(msgpack.unpackb(socket.receive_bytes())["k"])
-    assert kinds == ["snapshot"] * server.MOST_PAGES + ["refused"] * (36 - server.MOST_PAGES)
+    monkeypatch.setattr(hubs, "_END_S", 0.0)
+    most = hubs.MOST_PAGES
+    observers = [Page(stack, client, ACCESS.observer_token) for _ in range(most[Role.OBSERVER] + 10)]
+    # The oldest goes first for the next one, and is told why.
+    for page in observers[:10]:
+        assert "made room for another one" in page.take("refused")["text"]
+    operators = [Page(stack, client) for _ in range(most[Role.OPERATOR])]
+    snapshots = [page.take("snapshot") for page in operators]
+    assert operators[0].ask(k="lease", action="take")["ok"] is True
+    assert operators[1].ask(**command(command="mark", target="recorder"))["ok"] is True
+    # The page that holds control stays, though it is the oldest, and so does the one that did something last.
+    Page(stack, client).take("snapshot")
+    assert "made room" in operators[2].take("refused")["text"]
+    assert operators[0].ask(k="estop")["ok"] is True
+    assert operators[1].ask(k="estop")["ok"] is True
+    assert len({snapshot["me"] for snapshot in snapshots}) == len(operators)
+    Page(stack, client, ACCESS.participant_token).take("refused")
+    assert all(page.ask(k="estop")["ok"] is True for page in observers[-3:])
+    counted = {role: sum(each.role is role for each in rig.hub.sessions) for role in most}
+    assert (counted[Role.OBSERVER], counted[Role.OPERATOR]) == (most[Role.OBSERVER], most[Role.OPERATOR])
+    assert rig.hub.desk.refused.rejected["room"] == 11
+
+
+def test_where_all_pages_of_a_role_are_busy_the_next_is_refused_with_the_number(
+    rig: Rig, client: TestClient, stack: ExitStack, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(hubs.MOST_PAGES, Role.OPERATOR, 1)
+    page = Page(stack, client)
+    assert page.ask(k="lease", action="take")["ok"] is True
+    refused = Page(stack, client).take("refused")["text"]
+    assert refused == "1 pages of this kind are open, which is the most allowed"
+    assert page.ask(**command(lease=rig.hub.desk.lease.number))["ok"] is True
+
+
+def test_a_page_that_reads_nothing_loses_its_connection_when_it_makes_room(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hubs, "_END_S", 0.01)
+
+    async def made() -> bool:
+        hub = hubs.Hub(MadeSource())
+        dropped = asyncio.Event()
+        first = hub.join(Role.PARTICIPANT)
+        first.drop = dropped.set
+        hub.join(Role.PARTICIPANT)
+        assert hub.make_room(Role.PARTICIPANT) == ""
+        assert first.ended and first not in hub.sessions
+        await asyncio.wait_for(dropped.wait(), 10.0)
+        return True
+
+    assert asyncio.run(made())
 
 
 def test_a_command_is_answered_with_what_the_nodes_said(rig: Rig, client: TestClient, stack: ExitStack) -> None:

@@ -12,6 +12,8 @@ const PLACED_MS = 600_000;
 const DEVICES = "*";
 /** After the last press of the stop, and after it is first shown, *Arm* cannot be pressed: a second tap never arms [ms]. */
 const REARM_MS = 1500;
+/** Among so many of the newest events is the one by which a node refused what this page asked for. */
+const REPORTED = 8;
 /** What ends a tip's way back. */
 const INPUTS = ["keydown", "pointerdown", "wheel"] as const;
 
@@ -45,11 +47,15 @@ export class Commands {
   }
 
   /** Why the emergency stop of this page stops nothing, and what does; empty where it stops. */
-  get deadStop(): { short: string; long: string } | undefined {
+  get deadStop(): { short: string; long: string; isSent: boolean } | undefined {
     if (this.link !== "open") {
-      return { short: "STOP NOT CONNECTED", long: "This page is not connected and stops nothing: use the switch of the instrument, or type: telenano estop" };
+      return { short: "STOP NOT CONNECTED", long: "This page is not connected and stops nothing: use the switch of the instrument, or type: telenano estop", isSent: false };
     }
-    if (this.store.source.kind === "recording") return { short: "NOTHING TO STOP", long: "This is a recording: it moves nothing" };
+    if (this.store.isPictureOld) {
+      // it is sent all the same: the line may carry it although nothing comes back
+      return { short: "STOP NOT CONNECTED", long: "This page hears nothing, and its stop may reach nothing: use the switch of the instrument, or type: telenano estop", isSent: true };
+    }
+    if (this.store.source.kind === "recording") return { short: "NOTHING TO STOP", long: "This is a recording: it moves nothing", isSent: false };
     return undefined;
   }
 
@@ -58,7 +64,7 @@ export class Commands {
     this.stops++;
     this.stoppedAt = performance.now();
     this.onEstop();
-    if (dead) this.settle(this.answers.pending("emergency stop"), "emergency stop", "not sent", dead.long);
+    if (dead && !dead.isSent) this.settle(this.answers.pending("emergency stop"), "emergency stop", "not sent", dead.long);
     else await this.ask("emergency stop", { k: "estop" });
   }
 
@@ -166,10 +172,11 @@ export class Commands {
     this.answers.tell(text);
   }
 
-  /** Show what became of an action, and keep it in the list of events. */
+  /** Show what became of an action; what no node reports, because it did not reach one, is kept in the list of events. */
   private settle(note: HTMLElement, about: string, outcome: Outcome, text: string, waitedS = 0): void {
     const words = outcomeText(about, outcome, text, waitedS);
     this.answers.settle(note, outcome, words);
-    this.store.note(outcome === "acknowledged" ? "info" : "warning", words);
+    const isReported = outcome === "acknowledged" || this.store.events.slice(-REPORTED).some((event) => event.text !== "" && text.includes(event.text));
+    if (!isReported) this.store.note("warning", words);
   }
 }

@@ -70,8 +70,8 @@ export class Connection {
       answered({ k: "answer", id, ok: false, text: "the connection to the server was lost before the answer came" }, "lost");
     }
     this.waiting.clear();
-    // a wrong token stays wrong; a full server may have room later
-    if (/token is wrong|was revoked/.test(this.refusal)) this.onState("refused", this.refusal);
+    // a wrong token stays wrong, and a page that made room would take that of another; a full server may have room later
+    if (/token is wrong|was revoked|made room/.test(this.refusal)) this.onState("refused", this.refusal);
     else {
       this.onState(this.refusal ? "refused" : "lost", this.refusal || "the server does not answer; trying again");
       setTimeout(() => this.open(), this.retry);

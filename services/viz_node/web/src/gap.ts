@@ -69,8 +69,9 @@ export class GapPicture {
     if (this.says.style.left !== left) this.says.style.left = left;
     this.drawSample(pen, width, height, toY(0), x, touches ? apex : toY(0));
     this.drawScale(pen, width, toY, apex);
-    // in contact the water stands around the tip
-    if (meniscus) drawBridge(pen, x, Math.min(apex, toY(0) - 6), toY(0), colour("water"));
+    // in contact the water stands around the end of the tip, in the dent that it makes
+    const wet = touches ? apex : toY(0);
+    if (meniscus) drawBridge(pen, x, Math.min(apex, wet - 6), wet, colour("water"));
     drawTip(pen, x, apex, width, Number.isNaN(separation) ? colour("line") : colour("quiet"));
     if (limitWords(limit)) drawLimit(pen, x, apex);
     drawArrow(pen, x, apex, arrowShare(force, limit) * ARROW_PX, colour("tip"));

@@ -1,6 +1,7 @@
 import type { Connection } from "./connection";
 import { creepText } from "./creep";
 import { colour, make } from "./dom";
+import { LOWER_M } from "./next";
 import { Pressing } from "./pressing";
 import type { HandNotice } from "./protocol";
 import { LIMIT_N, springForce } from "./spring";
@@ -31,6 +32,8 @@ const GAUGE_PX = 18;
 const GAUGE_BAR_PX = 10;
 /** Radius of the ring at the place that the person means [px]. */
 const MEANT_PX = 8;
+/** A hand is lifted by this much more than it has to be [m]. */
+const LIFT_MORE_M = 0.5e-3;
 /** Over this time it is looked whether a free hand moves [s], so often [ms]. */
 const CREEP_S = 4;
 const CREEP_LOOK_MS = 500;
@@ -160,9 +163,16 @@ export class Hand {
     this.say();
   }
 
-  /** Mean a hand that is held to be lower by so much [m]. */
+  /** Mean a hand that is held to be lower than it is by so much, and lower than it was meant to be [m]. */
   lower(by_m: number): void {
-    if (this.meant !== undefined) this.hold(this.meant + by_m);
+    if (this.meant !== undefined) this.hold(Math.max(this.meant + LOWER_M, this.arm + by_m));
+  }
+
+  /** Lift the hand by so much and a little more, and hold it there [m]: the tip then meets it in the free. */
+  lift(by_m: number): void {
+    const up = this.arm - by_m - LIFT_MORE_M;
+    this.holdHere();
+    if (this.meant !== undefined) this.hold(Math.max(up, (this.store.travel_m?.[0] ?? TOP_M) + LIFT_MORE_M));
   }
 
   /** Why a hand that nobody holds moves all the same, in words; empty where it does not. */
@@ -236,6 +246,8 @@ export class Hand {
    */
   followTip(mode: unknown, program: string, runs: boolean): void {
     const reason = whyLetGo(mode, program, runs);
+    // what was said of a program, or of a tip that was withdrawn, is over with it
+    if (!this.followed && !reason && this.refusal.startsWith("Let go: ")) this.refusal = "";
     if (this.followed && reason && this.isHeld) this.refuse(`Let go: ${reason}`);
     this.followed = !reason;
   }
@@ -244,7 +256,8 @@ export class Hand {
   compare(): void {
     const { store } = this;
     const meant = this.meant === undefined ? undefined : this.force;
-    store.apart = this.pressing.look(store.clock.ms, meant, store.last("hand", "force"), store.rings.get("hand")?.newest ?? NaN, store.wayS);
+    // by the clock of what came: of a silent line, or a page that stood still, nothing is said of the hand
+    store.apart = this.pressing.look(1e3 * store.freshness.sentAt, meant, store.last("hand", "force"), store.rings.get("hand")?.newest ?? NaN, store.wayS);
   }
 
   draw(): void {
@@ -262,6 +275,15 @@ export class Hand {
       pen.fillStyle = colour("quiet");
       // the lowest label stands above its line, where the pad ends
       pen.fillText(`${mm} mm`, 4, toY(mm / 1e3) - 3);
+    }
+    const { travel_m } = this.store;
+    if (travel_m) {
+      // where the guard lets no hand go
+      pen.fillStyle = colour("line");
+      pen.globalAlpha = 0.6;
+      pen.fillRect(0, 0, width, Math.max(0, toY(travel_m[0])));
+      pen.fillRect(0, toY(travel_m[1]), width, height);
+      pen.globalAlpha = 1;
     }
     const x = width * 0.5;
     const arm = toY(this.arm);
@@ -282,6 +304,7 @@ export class Hand {
     const back = this.store.last("command", "tip_force");
     this.drawForces(pen, width, height, this.store.last("hand", "force"), back);
     const isFar = this.meant !== undefined && this.meant >= TOP_M + TRAVEL_M;
+    const isOld = this.store.isPictureOld || this.store.isOld("hand");
     const own = this.meant === undefined ? this.freeText() : isFar ? "Held at the end of the travel: the force grows no more" : "Held: release to let go, or press Keep holding";
     const slow = this.meant === undefined ? "" : slowText(this.lateS, this.store.wayS);
     const apart = this.meant === undefined || !this.store.apart ? "" : `Force differs: ${this.store.apart}`;
@@ -292,7 +315,7 @@ export class Hand {
     }
     this.pad.dataset["slow"] = String(slow !== "");
     this.pad.dataset["apart"] = String(apart !== "");
-    const text = this.refusal || slow || apart || own;
+    const text = isOld ? "" : this.refusal || slow || apart || own;
     if (this.text.textContent !== text) this.text.textContent = text;
     this.pad.dataset["held"] = String(this.meant !== undefined);
     this.pad.setAttribute("aria-valuenow", fixed(force, 2));

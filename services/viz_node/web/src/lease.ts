@@ -16,21 +16,18 @@ export function leaseOffer(lease: LeaseFacts, me: string, role: Role): { text: s
   const first = lease.asking.find(([id]) => id !== me);
   const asks = first ? `; ${first[1]} asks for it` : "";
   const mine = lease.kept ? "You hold control" : "You hold control for now";
-  const text = isMine ? mine : lease.holder ? `${lease.label[0]?.toUpperCase()}${lease.label.slice(1)} holds control` : "Control is free";
+  const upper = (words: string): string => `${words[0]?.toUpperCase() ?? ""}${words.slice(1)}`;
+  const [loser, why] = lease.lost ?? [];
+  const free = why ? `${upper(loser === me ? why.replace(/^(window \w+|the operator's page)/, "this page") : why)}. Control is free` : "Control is free";
+  const text = isMine ? mine : lease.holder ? `${upper(lease.label)} holds control` : free;
   const actions: LeaseAction[] = [];
-  if (role === "observer" || role === "participant") return { text, actions };
+  if (role !== "operator") return { text, actions };
   const handOver: LeaseAction[] = first ? [{ text: `Hand over to ${first[1]}`, action: "hand_over", to: first[0] }] : [];
   if (isMine && lease.kept) return { text: text + asks, actions: [...handOver, { text: "Give up control", action: "let_go" }] };
-  if (isMine && role !== "teacher") {
-    const take: LeaseAction[] = role === "operator" ? [{ text: "Take", action: "take" }] : [];
-    return { text: text + asks, actions: [...take, ...handOver] };
-  }
-  const isFree = !lease.holder;
-  const isOwnProcess = role === "operator" && lease.what !== "page";
-  if (role === "teacher") return { text: text + asks, actions: [{ text: "Take", action: "take" }, ...handOver] };
-  if (role === "operator" && (isFree || isOwnProcess)) return { text: text + asks, actions: [{ text: "Take", action: "take" }] };
+  if (isMine) return { text: text + asks, actions: [{ text: "Take", action: "take" }, ...handOver] };
+  if (!lease.holder || lease.what !== "page") return { text: text + asks, actions: [{ text: "Take", action: "take" }] };
   const hasAsked = lease.asking.some(([id]) => id === me);
-  const turn = lease.asking[0]?.[0] !== me ? ` after ${lease.asking[0]?.[1]}` : role === "operator" ? " and are next" : "";
+  const turn = lease.asking[0]?.[0] !== me ? ` after ${lease.asking[0]?.[1]}` : " and are next";
   return { text: hasAsked ? `${text}; you have asked${turn}` : text, actions: hasAsked ? [] : [{ text: "Ask", action: "ask" }] };
 }
 

@@ -24,6 +24,10 @@ import { socketUrl, takeToken } from "./token";
 
 const WRITE_MS = 200;
 const BANNERS_MS = 50;
+/** From this time between two looks on the page has stood still, and what came meanwhile is still to be taken in [ms]. */
+const STOOD_MS = 300;
+/** For no longer than this a picture stays because of it [ms]. */
+const LONGEST_WAIT_MS = 1500;
 /** Frames kept for the benchmark: a minute at 60 a second. */
 const FRAMES_KEPT = 3600;
 
@@ -45,8 +49,8 @@ const cockpit: Cockpit = {
 };
 cockpit.hand.may = () => commands.may;
 commands.onEstop = commands.onArm = () => cockpit.hand.letGo();
-store.recorded = (stream, column) => cockpit.document.value(stream, column, performance.now());
-store.recordedSwing = () => cockpit.document.swingAt(cockpit.document.at(performance.now()));
+store.recorded = (stream, column) => cockpit.document.value(stream, column, store.at);
+store.recordedSwing = () => cockpit.document.swingAt(cockpit.document.at(store.at));
 const status = new StatusPanel(part("status"), cockpit);
 const next = new NextPanel(part("next"), cockpit);
 const regions = new Regions(PANELS, cockpit);
@@ -59,7 +63,6 @@ const timeline = regions.panel("recording") as TimelinePanel;
 const frames: number[] = [];
 const costs: number[] = [];
 let taken = 0;
-let dirty = false;
 let built = "";
 let writtenAt = 0;
 let before = 0;
@@ -101,13 +104,12 @@ connection.onFrame = (frame: ServerFrame) => {
     if (pictures.length > FRAMES_KEPT) pictures.shift();
     pictureAt = begun;
     store.pictureS = medianFrame(pictures);
-    store.take(frame);
+    store.take(frame, begun);
     // what a package shows has come: its panel is there from now on
     if (frame.state) packages.follow();
   }
   else if (frame.k === "way") store.wayS = frame.way_s ?? NaN;
   else if (frame.k === "hand") cockpit.hand.notice(frame);
-  dirty = true;
   taken += performance.now() - begun;
 };
 
@@ -127,27 +129,47 @@ function draw(now: number): void {
   for (const kept of [frames, costs]) if (kept.length > FRAMES_KEPT) kept.shift();
   before = now;
   store.frameS = medianFrame(frames);
-  if (dirty) {
-    dirty = false;
-    view?.follow();
-  }
+  show(now);
+  view?.follow();
   for (const { panel } of regions.placed) panel.frame?.(now);
-  if (now - writtenAt > WRITE_MS) {
-    writtenAt = now;
-    status.write();
-    for (const { panel, root } of regions.placed) if (!root.hidden) panel.write?.();
-  }
   taken += performance.now() - begun;
   requestAnimationFrame(draw);
 }
 
-// not with the frames, of which a slow machine draws few: what an operator must not overlook comes at its time
-setInterval(() => {
-  store.clock.tick(performance.now());
+/** What the instant said whose numbers are written: they change with what is seen beside them, and otherwise not faster than they are read. */
+let written = "";
+let shownAt = 0;
+
+/** Take one instant, and make words and numbers of it: the pictures of the same frame are drawn from it too. */
+function show(now: number): void {
+  // what waits because the page stood still comes before the next look: until then the picture is the one of before
+  const stood = now - shownAt > STOOD_MS;
+  shownAt = now;
+  if (stood && !document.hidden && now - writtenAt < LONGEST_WAIT_MS) return;
+  store.look(now);
   cockpit.hand.followTip(store.fact("afm/state/slave", "mode"), cockpit.tip.program, Number(store.fact("haptic/state/master", "session_s") ?? -1) >= 0);
   cockpit.hand.compare();
-  status.draw();
-  next.draw();
+  const seen = `${status.look()} ${next.look(now)} ${seenOf()}`;
+  if (seen === written && now - writtenAt <= WRITE_MS) return;
+  written = seen;
+  writtenAt = now;
+  next.write();
+  status.write();
+  for (const { panel, root } of regions.placed) if (!root.hidden) panel.write?.();
+}
+
+/** What of the instant is seen in its pictures, in steps that an eye tells apart. */
+function seenOf(): string {
+  const step = (stream: string, column: string, size: number): number => Math.round(store.last(stream, column) / size);
+  return [step("tip", "separation", 1e-9), step("hand", "position", 1e-3), step("hand", "force", 0.2), step("command", "tip_force", 0.2), step("tip", "force", 2e-9), store.isPictureOld ? Math.round(10 * store.pictureAge) : 0].join();
+}
+
+// Not with the frames alone, of which a slow machine draws few: what an operator must not overlook comes at its time.
+setInterval(() => {
+  const now = performance.now();
+  if (now - shownAt < BANNERS_MS) return;
+  show(now);
+  regions.panel("hand").frame?.(now);
 }, BANNERS_MS);
 
 function setTheme(name: string): void {

@@ -32,7 +32,7 @@ export class Pressing {
   /**
    * Take a look, and return in words how the two are apart; empty where they are not.
    *
-   * `now`: time in which the page could have heard something [ms]; `meant`: force that the page means [N], undefined
+   * `now`: when the server sent the newest of it [ms]; `meant`: force that the page means [N], undefined
    * where it holds nothing; `pressed`: force of the newest sample of the hand [N], and `newest`, the time of that [s];
    * `way_s`: way to the server and back [s], NaN where it is not known.
    */
@@ -60,8 +60,8 @@ export class Pressing {
     if (isSilent || apart >= APART_MS) {
       // where they agree again for the moment, it is said how they did not
       const last = this.looks.findLast((look) => look.isApart) ?? { meant, pressed };
-      const hand = isSilent || Number.isNaN(last.pressed) ? "no data comes from the hand" : `the hand presses with ${fixed(last.pressed, 1)} N`;
-      this.shown = { text: `this page asks for ${fixed(last.meant, 1)} N, and ${hand}`, until: now + SHOWN_MS };
+      const hand = isSilent || Number.isNaN(last.pressed) ? "no data came from the hand" : `the hand pressed with ${fixed(last.pressed, 1)} N`;
+      this.shown = { text: `this page asked for ${fixed(last.meant, 1)} N, and ${hand}`, until: now + SHOWN_MS };
     } else if (this.shown && now > this.shown.until) this.shown = undefined;
     return this.shown?.text ?? "";
   }

@@ -35,6 +35,8 @@ export interface NodeFacts {
   beat: number;
   /** The force above which the guard of the node withdraws the tip [N]; absent where it has no such guard. */
   force_limit_n?: number;
+  /** Ends of the travel that the guard of the node allows the hand [m], towards the sample > 0; absent where it guards none. */
+  travel_m?: [number, number];
 }
 
 export interface EventFacts {
@@ -83,11 +85,15 @@ export interface LeaseFacts {
   what: string;
   kept: boolean;
   asking: [id: string, label: string][];
+  /** How the last holder lost control without wanting to: who it was, and a sentence; empty where it did not. */
+  lost?: [] | [id: string, text: string];
 }
 
-export type Role = "operator" | "observer" | "participant" | "pupil" | "teacher";
+export type Role = "operator" | "observer" | "participant";
 
 export interface Changes {
+  /** When the server sent this, on its clock [s]; a server whose rig is silent sends it all the same. */
+  at_s?: number;
   /** Time of the publishers at which the times of the curves begin [ns], to a quarter of a microsecond. */
   origin_ns?: number;
   nodes?: Record<string, NodeFacts>;

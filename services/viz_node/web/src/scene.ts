@@ -383,6 +383,8 @@ export class View {
     const separation = this.store.last("tip", "separation");
     const side = this.size;
     const heights = this.stretch === 1 ? "to scale" : `and distances of the tip drawn ${this.stretch} times as high`;
+    const { store } = this;
+    this.views.toggleAttribute("data-old", store.isPictureOld || store.isOld("tip"));
     const apex = this.world.localToWorld(this.tip.position.clone()).project(this.camera);
     const isAway = Math.max(Math.abs(apex.x), Math.abs(apex.y)) > 1 && !Number.isNaN(separation);
     const text = [
@@ -410,15 +412,24 @@ export class View {
     bar.append(
       group("What the pointer does", ...Object.values(this.tools)),
       group("What is shown", ...this.showButtons),
-      this.stretchSelect,
       make("span", { class: "spacer" }),
-      stereo,
-      this.headset.button,
-      group(
-        "View",
-        make("button", { type: "button", "aria-label": "Zoom in", onclick: zoom(0.8) }, "+"),
-        make("button", { type: "button", "aria-label": "Zoom out", onclick: zoom(1.25) }, "−"),
-        make("button", { type: "button", id: "reset-view", onclick: () => this.reset() }, "Reset"),
+      make(
+        "details",
+        { class: "menu", id: "scene-more" },
+        make("summary", { "aria-label": "More of the scene: zoom, heights, stereo, headset" }, "⋯"),
+        make(
+          "div",
+          { class: "sheet" },
+          group(
+            "View",
+            make("button", { type: "button", "aria-label": "Zoom in", onclick: zoom(0.8) }, "+"),
+            make("button", { type: "button", "aria-label": "Zoom out", onclick: zoom(1.25) }, "−"),
+            make("button", { type: "button", id: "reset-view", onclick: () => this.reset() }, "Reset"),
+          ),
+          this.stretchSelect,
+          stereo,
+          this.headset.button,
+        ),
       ),
     );
     this.solid.append(this.legend, this.tag);

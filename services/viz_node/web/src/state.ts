@@ -1,5 +1,6 @@
 import type { LinkState } from "./connection";
 import { whyWithdrawn } from "./guard";
+import { ageWords } from "./freshness";
 import { oscillationIn } from "./oscillation";
 import { programName } from "./programs";
 import { speaker } from "./sentences";
@@ -17,6 +18,8 @@ const SAMPLES = 1500;
 /** The state of the rig or of the page in words, what an operator must not overlook first. */
 export function bannersOf(store: Store, link: LinkState, linkText: string): Banner[] {
   if (link !== "open") return [["bad", `DISCONNECTED: ${linkText}`]];
+  // a page that hears nothing knows nothing of the rig, and blames no node of it
+  if (store.isPictureOld) return [["bad", `NOT CONNECTED: ${oldWords(store)}`]];
   const nodes = [...store.nodes.values()];
   const isLive = store.source.kind === "live";
   if (!nodes.length) return [["warn", isLive ? "NO RIG: no node has reported yet" : "REPLAY: no instrument is connected"]];
@@ -43,6 +46,19 @@ export function bannersOf(store: Store, link: LinkState, linkText: string): Bann
   return found;
 }
 
+/** That what this page shows is not of the present, and by how much: nothing comes, or what comes has waited on its way. */
+export function oldWords(store: Store): string {
+  const age = store.pictureAge;
+  const isSilent = store.freshness.silence(store.at) > age / 2;
+  return isSilent ? `this page has heard nothing for ${ageWords(age)}` : `what this page shows is ${ageWords(age)} old`;
+}
+
+/** Of which part nothing new has come, and for how long; empty where all that moves is of the present. */
+export function oldPart(store: Store): string {
+  const [part, stream] = store.isOld("hand") ? ["hand", "hand"] : store.isOld("tip") ? ["tip", "tip"] : ["", ""];
+  return part && `Nothing has come from the ${part} for ${ageWords(store.age_s(stream!))}`;
+}
+
 /** What a node is called, with its place where there is one of the kind at either. */
 function speakerOf(name: string, store: Store): string {
   const [kind, site] = name.split("@");
@@ -67,7 +83,7 @@ interface ProgramFacts {
 
 /** The program that the instrument runs, or that it pauses. */
 function programOf(store: Store): ProgramFacts | undefined {
-  const program = store.state.get("afm/program/slave") as ProgramFacts | undefined;
+  const program = store.facts("afm/program/slave") as ProgramFacts | undefined;
   return program && ["running", "paused"].includes(program.state) ? program : undefined;
 }
 

@@ -1,3 +1,4 @@
+import { Freshness, OLD_S, SLOW_OLD_S } from "./freshness";
 import type { Oscillation } from "./oscillation";
 import { Ring } from "./ring";
 import {
@@ -21,26 +22,26 @@ const EVENTS_KEPT = 200;
 /** The source of what this page itself notes among the events of the nodes. */
 const PAGE = "this page";
 
-/** node/health comes twice a second: a node of which none came for this long is lost [ms]. */
-export const LOST_MS = 900;
-/** Visitors come and go. */
-const VISITORS = /^(console|player|estop|view)/;
-const LONGEST_STEP_MS = 100;
+/** node/health comes twice a second: a node of which the server had none for this long is lost [s]. */
+export const LOST_S = 0.9;
+/** Visitors come and go, and a page that is heard has a server. */
+const VISITORS = /^(console|player|estop|view|viz_node)/;
+/** Streams of which there are a few samples a second. */
+const SLOW_TOPICS = ["law/status", "link/status"];
 
 export interface Node extends NodeFacts {
-  /** When its last report came, on the clock of the store [ms]. */
+  /** When the server sent its last report, on the clock of the server [s]. */
   heard: number;
 }
 
-/** Time in which the page could have heard something: a page that stood still does not take that for a silence. */
-export class Clock {
-  ms = 0;
-  private at: number | undefined;
-
-  tick(now: number): void {
-    this.ms += Math.min(LONGEST_STEP_MS, Math.max(0, now - (this.at ?? now)));
-    this.at = now;
-  }
+/** One instant of the rig: numbers, words, pictures and the step line of a frame are all made from it. */
+interface Moment {
+  /** Time of this page at which it was taken [ms]. */
+  at: number;
+  /** Newest values of each stream, by column, and the time of its newest sample [s]. */
+  values: Map<string, number[]>;
+  newest: Map<string, number>;
+  facts: Map<string, Facts>;
 }
 
 /** Everything that the page knows of the rig. */
@@ -68,7 +69,8 @@ export class Store {
   events: EventFacts[] = [];
   rings = new Map<string, Ring>();
   streams = new Map<string, StreamAbout>();
-  readonly clock = new Clock();
+  readonly freshness = new Freshness();
+  private moment: Moment | undefined;
   onLines: (lines: Line[]) => void = () => {};
   onRestart: () => void = () => {};
   /** Value of a column at the playhead of a recording, NaN where it is not known. */
@@ -98,17 +100,23 @@ export class Store {
     this.rings.clear();
     for (const stream of snapshot.streams) {
       this.streams.set(stream.name, stream);
-      const isFast = stream.topic !== "law/status" && stream.topic !== "link/status";
+      const isFast = !SLOW_TOPICS.includes(stream.topic);
       this.rings.set(stream.name, new Ring(stream.columns.length, isFast ? CAPACITY : SLOW_CAPACITY));
     }
+    this.moment = undefined;
+    this.freshness.begin();
     this.onRestart();
-    const { nodes, state, events, lines } = snapshot;
-    this.take({ k: "tick", ...(nodes && { nodes }), ...(state && { state }), ...(events && { events }), ...(lines && { lines }) });
+    const { nodes, state, events, lines, at_s } = snapshot;
+    this.take({ k: "tick", ...(at_s !== undefined && { at_s }), ...(nodes && { nodes }), ...(state && { state }), ...(events && { events }), ...(lines && { lines }) });
     if (own.length) this.events = [...this.events, ...own].sort((one, other) => one.t - other.t);
   }
 
-  take(tick: Tick): void {
-    for (const [name, facts] of Object.entries(tick.nodes ?? {})) this.nodes.set(name, { ...facts, heard: this.clock.ms });
+  /** Take in what the server sent, at a time of this page [ms]. */
+  take(tick: Tick, now = performance.now()): void {
+    for (const [name, data] of Object.entries(tick.streams ?? {})) this.push(name, data);
+    if (tick.at_s !== undefined) this.freshness.take(tick.at_s, now, this.newest);
+    const heard = this.freshness.sentAt;
+    for (const [name, facts] of Object.entries(tick.nodes ?? {})) this.nodes.set(name, { ...facts, heard });
     for (const [name, facts] of Object.entries(tick.state ?? {})) this.state.set(name, facts);
     for (const event of tick.events ?? []) {
       const key = `${event.src} ${event.seq} ${event.t}`;
@@ -116,8 +124,9 @@ export class Store {
       this.seen.add(key);
       this.events.push(event);
     }
+    // of several nodes they come in no order
+    if (tick.events?.length) this.events.sort((one, other) => one.t - other.t);
     if (this.events.length > EVENTS_KEPT) this.events.splice(0, this.events.length - EVENTS_KEPT);
-    for (const [name, data] of Object.entries(tick.streams ?? {})) this.push(name, data);
     if (tick.lines?.length) this.onLines(tick.lines);
     if (tick.source) this.source = tick.source;
     this.takeLease(tick.lease);
@@ -128,7 +137,10 @@ export class Store {
   /** Note what became of an action of this page among the events; a recording has only its own. */
   note(level: EventFacts["level"], text: string): void {
     if (this.source.kind !== "live") return;
-    this.take({ k: "tick", events: [{ src: PAGE, seq: this.noted++, t: Date.now() * 1e6, kind: "answer", level, text }] });
+    // by the clock of the rig, as those of the nodes
+    const now_s = this.freshness.newest(performance.now());
+    const t = this.originNs && Number.isFinite(now_s) ? this.originNs + 1e9 * now_s : Date.now() * 1e6;
+    this.take({ k: "tick", events: [{ src: PAGE, seq: this.noted++, t, kind: "answer", level, text }] });
   }
 
   /** Take what the lease has become, and not what it was before: a tick may arrive after the answer that is newer. */
@@ -141,10 +153,13 @@ export class Store {
     return this.lease.kept && this.me && this.lease.holder === this.me ? this.lease.number : 0;
   }
 
-  /** Nodes that have stopped reporting; those of a recording come at the pace of the recording. */
+  /**
+   * Nodes that have stopped reporting to the server, as far as this page knows: a page that hears nothing knows nothing
+   * of the nodes. Those of a recording come at the pace of the recording.
+   */
   lost(): string[] {
     if (this.source.kind === "recording") return [];
-    const isLost = ([name, node]: [string, Node]): boolean => !VISITORS.test(name) && node.state !== "ended" && this.clock.ms - node.heard > LOST_MS;
+    const isLost = ([name, node]: [string, Node]): boolean => !VISITORS.test(name) && node.state !== "ended" && this.freshness.sentAt - node.heard > LOST_S;
     return [...this.nodes].filter(isLost).map(([name]) => name);
   }
 
@@ -159,13 +174,49 @@ export class Store {
     return Math.max(...[...this.rings.values()].map((ring) => ring.newest));
   }
 
-  /** Newest value of a column, NaN without any. */
+  /** Take the instant that this frame shows [ms]. What is read afterwards is of this instant, until there is another one. */
+  look(now: number, wall = Date.now()): void {
+    this.freshness.look(now, wall);
+    const values = new Map([...this.rings].map(([name, ring]) => [name, Array.from({ length: ring.columns }, (_, column) => ring.last(column))]));
+    const newest = new Map([...this.rings].map(([name, ring]) => [name, ring.newest]));
+    this.moment = { at: now, values, newest, facts: new Map(this.state) };
+  }
+
+  /** The time of the instant that is shown [ms]. */
+  get at(): number {
+    return this.moment?.at ?? performance.now();
+  }
+
+  /** How long ago the server sent what is shown [s]; 0 for a recording, which has no present. */
+  get pictureAge(): number {
+    return this.source.kind === "recording" ? 0 : this.freshness.picture(this.at);
+  }
+
+  /** Whether this page has heard nothing for so long that it must not show what it knows as present. */
+  get isPictureOld(): boolean {
+    return this.pictureAge > OLD_S;
+  }
+
+  /** The age of the newest sample of a stream [s]: NaN where there is none, 0 in a recording. */
+  age_s(stream: string): number {
+    if (this.source.kind === "recording") return 0;
+    return this.freshness.sample(this.moment?.newest.get(stream) ?? this.rings.get(stream)?.newest ?? -Infinity, this.at);
+  }
+
+  /** Whether what is shown of a stream is not of the present. */
+  isOld(stream: string): boolean {
+    return this.age_s(stream) > (SLOW_TOPICS.includes(this.streams.get(stream)?.topic ?? "") ? SLOW_OLD_S : OLD_S);
+  }
+
+  /** Value of a column in the instant that is shown, NaN without any. */
   last(stream: string, column: string): number {
     if (this.source.kind === "recording") {
       const value = this.recorded(stream, column);
       if (!Number.isNaN(value)) return value;
     }
-    return this.rings.get(stream)?.last(this.column(stream, column)) ?? NaN;
+    const at = this.column(stream, column);
+    if (at < 0) return NaN;
+    return this.moment?.values.get(stream)?.[at] ?? this.rings.get(stream)?.last(at) ?? NaN;
   }
 
   column(stream: string, column: string): number {
@@ -173,7 +224,18 @@ export class Store {
   }
 
   fact(state: string, key: string): unknown {
-    return this.state.get(state)?.[key];
+    return this.facts(state)?.[key];
+  }
+
+  /** All that is known of a state in the instant that is shown. */
+  facts(state: string): Facts | undefined {
+    return (this.moment?.facts ?? this.state).get(state);
+  }
+
+  /** Ends of the travel of the hand, the one away from the sample first [m]; undefined where no node has reported them. */
+  get travel_m(): readonly [number, number] | undefined {
+    for (const { travel_m } of this.nodes.values()) if (travel_m) return travel_m;
+    return undefined;
   }
 
   private push(name: string, data: StreamData): void {

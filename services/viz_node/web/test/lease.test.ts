@@ -28,7 +28,6 @@ describe("the lease of control on the page", () => {
     const asking: [string, string][] = [["q", "Petra"]];
     const forNow = { holder: ME, label: "Otto", what: "page" };
     expect(said(lease({ ...forNow, asking }), "operator")).toEqual(["You hold control for now; Petra asks for it", "Take", "Hand over to Petra"]);
-    expect(said(lease({ ...forNow, asking }), "pupil")).toEqual(["You hold control for now; Petra asks for it", "Hand over to Petra"]);
     expect(said(lease({ asking }), "operator")).toEqual(["Control is free; Petra asks for it", "Take"]);
     // a second page of the same address is another page
     const second: [string, string][] = [["me2", "window B"]];
@@ -38,8 +37,6 @@ describe("the lease of control on the page", () => {
     const other = { holder: "a", label: "window A", what: "page", kept: true };
     expect(said(lease(other), "operator")).toEqual(["Window A holds control", "Ask"]);
     expect(said(lease({ ...other, asking: [[ME, "window B"]] }), "operator")).toEqual(["Window A holds control; you have asked and are next"]);
-    // a pupil has it when it is handed over, and another asked before
-    expect(said(lease({ ...other, asking: [[ME, "Paul"]] }), "pupil")).toEqual(["Window A holds control; you have asked"]);
     expect(said(lease({ ...other, asking: [["c", "Nina"], [ME, "window B"]] }), "operator")).toEqual(["Window A holds control; you have asked after Nina"]);
   });
   test("a command names the lease that was taken, and not that of the command before it", () => {
@@ -61,15 +58,16 @@ describe("the lease of control on the page", () => {
     store.take({ k: "tick", lease: lease({ number: 9, ...paul }) });
     expect(store.ownLease).toBe(0);
   });
-  test("a pupil asks, a teacher takes and hands over", () => {
-    expect(said(lease(), "pupil")).toEqual(["Control is free", "Ask"]);
-    expect(said(lease(paul), "teacher")).toEqual(["Paul holds control", "Take"]);
-    expect(said(lease({ ...paul, asking: [["q", "Petra"]] }), "teacher")).toEqual(["Paul holds control; Petra asks for it", "Take", "Hand over to Petra"]);
+  test("control that was lost says how, to the page that lost it and to the others", () => {
+    const lost: [string, string] = [ME, "window A was not heard for 1.1 s while it pressed: the tip is withdrawn"];
+    expect(said(lease({ lost }), "operator")).toEqual(["This page was not heard for 1.1 s while it pressed: the tip is withdrawn. Control is free", "Take"]);
+    expect(said(lease({ lost: ["a", lost[1]] }), "operator")).toEqual(["Window A was not heard for 1.1 s while it pressed: the tip is withdrawn. Control is free", "Take"]);
+    expect(said(lease({ lost: [] }), "operator")).toEqual(["Control is free", "Take"]);
   });
   test("who has it hands it over to the first who asks, or lets go", () => {
     const mine = { holder: ME, label: "Otto", what: "page", kept: true };
-    expect(said(lease(mine), "pupil")).toEqual(["You hold control", "Give up control"]);
-    expect(leaseOffer(lease({ ...mine, asking: [["q", "Petra"]] }), ME, "pupil")).toEqual({
+    expect(said(lease(mine), "operator")).toEqual(["You hold control", "Give up control"]);
+    expect(leaseOffer(lease({ ...mine, asking: [["q", "Petra"]] }), ME, "operator")).toEqual({
       text: "You hold control; Petra asks for it",
       actions: [
         { text: "Hand over to Petra", action: "hand_over", to: "q" },

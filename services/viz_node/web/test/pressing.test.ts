@@ -31,15 +31,15 @@ test("a hand that presses as the page means, a little later, is not spoken of", 
   expect(over(5000, (at) => (at < 2000 ? 3 : 0), (at) => (at < 3100 ? 3 : 0), undefined, 1.2)).toEqual(QUIET);
 });
 
-test("a hand that presses with nothing, or with gaps, is spoken of, and so is one of which nothing is heard", () => {
-  expect(over(1500, () => 2, () => 0).said).toBe("this page asks for 2.0 N, and the hand presses with 0.0 N");
+test("a hand that pressed with nothing, or with gaps, is spoken of, and so is one of which nothing is heard", () => {
+  expect(over(1500, () => 2, () => 0).said).toBe("this page asked for 2.0 N, and the hand pressed with 0.0 N");
   // the other way round as well: it presses, and the page means to pull
-  expect(over(1500, () => -1, () => 1).said).toBe("this page asks for -1.0 N, and the hand presses with 1.0 N");
+  expect(over(1500, () => -1, () => 1).said).toBe("this page asked for -1.0 N, and the hand pressed with 1.0 N");
   expect(over(3000, () => 2, (at) => (at % 400 < 150 && at > 1200 ? 0 : 2)).ever).toBe(true);
   // what is said is how they were apart, also in a moment in which they are not
-  expect(over(2750, () => 2, (at) => (at % 400 < 150 && at > 1200 ? 0 : 2)).said).toBe("this page asks for 2.0 N, and the hand presses with 0.0 N");
-  expect(over(3000, () => 2, () => 2, (at) => Math.min(at, 1000) / 1e3).said).toBe("this page asks for 2.0 N, and no data comes from the hand");
-  expect(over(1500, () => 2, () => NaN).said).toMatch(/no data comes from the hand/);
+  expect(over(2750, () => 2, (at) => (at % 400 < 150 && at > 1200 ? 0 : 2)).said).toBe("this page asked for 2.0 N, and the hand pressed with 0.0 N");
+  expect(over(3000, () => 2, () => 2, (at) => Math.min(at, 1000) / 1e3).said).toBe("this page asked for 2.0 N, and no data came from the hand");
+  expect(over(1500, () => 2, () => NaN).said).toMatch(/no data came from the hand/);
 });
 
 test("it can be read for a while, and ends at once when the hand is let go", () => {
@@ -52,6 +52,6 @@ test("it can be read for a while, and ends at once when the hand is let go", () 
 test("the banner says it in red, before what else is so", () => {
   const store = new Store();
   store.take({ k: "tick", nodes: { "haptic_node@master": { state: "running" } as never } });
-  store.apart = "this page asks for 2.0 N, and the hand presses with 0.0 N";
-  expect(bannersOf(store, "open", "")[0]).toEqual(["bad", "FORCE DIFFERS: this page asks for 2.0 N, and the hand presses with 0.0 N"]);
+  store.apart = "this page asked for 2.0 N, and the hand pressed with 0.0 N";
+  expect(bannersOf(store, "open", "")[0]).toEqual(["bad", "FORCE DIFFERS: this page asked for 2.0 N, and the hand pressed with 0.0 N"]);
 });

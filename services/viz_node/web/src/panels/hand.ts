@@ -1,6 +1,8 @@
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
 import { GapPicture } from "../gap";
+import { ageWords } from "../freshness";
+import { limitsOf, limitsText, travelText } from "../limits";
 import { fixed, forceText } from "../numbers";
 
 /** One unit for one quantity: a number that changes its prefix cannot be read at a glance. */
@@ -11,6 +13,7 @@ const FACTS: readonly (readonly [name: string, stream: string, column: string, f
   ["Cantilever bent", "tip", "deflection", 1e9, "nm"],
 ];
 const AFM = "afm/state/slave";
+const HAND = "haptic/state/master";
 const FORCE_TITLE = "You feel";
 
 /** What the hand presses with and what comes back, large; hand and tip side by side; and the tip in numbers. */
@@ -21,6 +24,12 @@ export class HandPanel implements Panel {
   private readonly names = FACTS.map(([name]) => make("dt", {}, name));
   private readonly values = FACTS.map(() => make("dd", {}, "–"));
   private readonly control: HTMLElement;
+  /** What hand and tip are kept from going beyond, and what the hand has left of its travel. */
+  private readonly limits = make("p", { id: "limits", class: "warning", role: "status", hidden: true });
+  private limitsBefore = "";
+  private readonly travel = make("span", { id: "travel", class: "quiet" });
+  /** What is made of each stream: grey, with its age, where that is not of the present. */
+  private readonly made: [element: HTMLElement, stream: string, age: HTMLElement][];
   private readonly gap: GapPicture;
 
   constructor(
@@ -31,14 +40,21 @@ export class HandPanel implements Panel {
     this.gap = new GapPicture(cockpit.store);
     const number = (kind: string, title: HTMLElement, value: HTMLElement): HTMLElement => make("div", { class: `number ${kind}` }, title, make("div", { class: "big" }, value, make("span", {}, "N")));
     this.control = make("div", { class: "row tight holding" }, hand.text, hand.keepButton);
+    const age = (): HTMLElement => make("span", { class: "age", hidden: true });
+    const titled = (title: string, shown: HTMLElement, stream: string, more: Node | string = ""): HTMLElement => {
+      const [of, picture] = [age(), make("div", { class: "picture" })];
+      picture.append(make("h3", {}, title, " ", more, of), shown);
+      this.made.push([picture, stream, of]);
+      return picture;
+    };
+    const [own, felt] = [number("own", make("h3", {}, "You press"), this.own), number("felt", this.feltTitle, this.felt)];
+    const numbers = make("dl", { "aria-label": "Tip now" }, ...FACTS.flatMap((_, i) => [this.names[i]!, this.values[i]!]));
+    this.made = [[own, "hand", age()], [felt, "command", age()], [numbers, "tip", age()]];
+    for (const [element, , of] of this.made) element.append(of);
     root.append(
-      make(
-        "div",
-        { class: "figures" },
-        make("div", { class: "numbers" }, number("own", make("h3", {}, "You press"), this.own), number("felt", this.feltTitle, this.felt)),
-        make("dl", { "aria-label": "Tip now" }, ...FACTS.flatMap((_, i) => [this.names[i]!, this.values[i]!])),
-      ),
-      make("div", { class: "pictures" }, make("div", { class: "picture" }, make("h3", {}, "Hand"), hand.pad), make("div", { class: "picture" }, make("h3", {}, "Tip over the sample"), this.gap.root)),
+      make("div", { class: "figures" }, make("div", { class: "numbers" }, own, felt), numbers),
+      make("div", { class: "pictures" }, titled("Hand", hand.pad, "hand", this.travel), titled("Tip over the sample", this.gap.root, "tip")),
+      this.limits,
       this.control,
     );
   }
@@ -70,6 +86,22 @@ export class HandPanel implements Panel {
       show(this.values[i]!, Number.isNaN(value) ? "–" : `${fixed(value, 2)} ${unit}`);
     });
     this.gap.write();
+    const travel = travelText(store.last("hand", "position"), store.travel_m);
+    show(this.travel, travel.short);
+    if (this.travel.title !== travel.long) this.travel.title = travel.long;
+    const limits = store.isPictureOld ? "" : limitsText(limitsOf(store.fact(HAND, "limited_by"), store.fact(AFM, "limited_by"), store.fact(AFM, "felt_clamp"), store.fact(AFM, "placed") !== false));
+    // a limit may act for a sample alone: what lasts is shown
+    if (limits === this.limitsBefore) {
+      show(this.limits, limits);
+      this.limits.hidden = limits === "";
+    }
+    this.limitsBefore = limits;
+    for (const [element, stream, of] of this.made) {
+      const isOld = store.isPictureOld || store.isOld(stream);
+      element.toggleAttribute("data-old", isOld);
+      of.hidden = !isOld;
+      if (isOld) show(of, `${ageWords(Math.max(store.pictureAge, store.age_s(stream) || 0))} old`);
+    }
   }
 }
 

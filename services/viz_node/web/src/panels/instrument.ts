@@ -58,7 +58,7 @@ export class InstrumentPanel implements Panel {
 
   write(): void {
     const { store, tip, commands } = this.cockpit;
-    const program = store.state.get("afm/program/slave") as { program: string; text: string; state: string; done_percent: number } | undefined;
+    const program = store.facts("afm/program/slave") as { program: string; text: string; state: string; done_percent: number } | undefined;
     const mode = String(store.fact("afm/state/slave", "mode") ?? "");
     const running = tip.program;
     for (const button of this.modes.children) {

@@ -7,6 +7,9 @@ import { faultLine, faultOf, judge } from "../field";
 import { LinePictures, type LineData } from "../linecurves";
 
 const MOST_MS = 2000;
+/** Profiles that are not a measured network, and the row that shows those. */
+const PLAIN = ["clean", "lan", "wifi", "lte", "5g", "transatlantic", "satellite"];
+const MORE = "…";
 const WAYS = ["forward", "backward"] as const;
 
 /** The link: its profile, what a measured one does, its delay, and what that means. Each direction is among the settings. */
@@ -25,6 +28,7 @@ export class LinkPanel implements Panel {
   private readonly pictures = new LinePictures(make("div", { class: "linecurves", id: "line-curves", hidden: true }), () => fetch(address).then((answer) => answer.json() as Promise<LineData>));
   /** What is in force but in no list of profiles, such as `custom`; it cannot be chosen. */
   private readonly other = make("option", { disabled: true });
+  private isWide = false;
   private shown = "";
   private delayShown = "";
 
@@ -32,7 +36,7 @@ export class LinkPanel implements Panel {
     root: HTMLElement,
     private readonly cockpit: Cockpit,
   ) {
-    this.profile.addEventListener("change", () => void this.cockpit.commands.command(`profile ${this.profile.value}`, "set", "delay_node", { profile: this.profile.value }));
+    this.profile.addEventListener("change", () => this.choose());
     this.delay.addEventListener("input", () => this.check());
     this.delay.addEventListener("keydown", (event) => event.key === "Enter" && this.setDelay());
     root.append(make("div", { class: "row wrap" }, this.profile, this.delay, make("span", { class: "quiet" }, "ms"), this.set), this.fault, this.measured, this.advice, this.line, this.ageRoot, this.pictures.root);
@@ -41,7 +45,11 @@ export class LinkPanel implements Panel {
   begin(): void {
     const { store, commands } = this.cockpit;
     const profiles = (store.forms["profiles"] ?? []) as string[];
-    this.profile.replaceChildren(...profiles.map((name) => make("option", { value: name }, profileName(name))));
+    const option = (name: string): HTMLOptionElement => make("option", { value: name }, profileName(name));
+    // what is chosen most is in sight, and the measured networks behind a press
+    const [near, far] = [profiles.filter((name) => PLAIN.includes(name)), profiles.filter((name) => !PLAIN.includes(name))];
+    this.profile.replaceChildren(...near.map(option));
+    if (far.length) this.profile.append(this.isWide ? make("optgroup", { label: "Networks" }, ...far.map(option)) : make("option", { value: MORE }, `${far.length} more …`));
     for (const input of [this.profile, this.delay, this.set]) input.disabled = !commands.may;
     this.shown = this.delayShown = "";
     this.write();
@@ -80,6 +88,17 @@ export class LinkPanel implements Panel {
     this.delayShown = delay;
     this.delay.placeholder = delay || "one way";
     if (document.activeElement !== this.delay) this.delay.value = "";
+  }
+
+  /** Set the profile that was chosen; the last row of the short list shows the long one instead. */
+  private choose(): void {
+    const { value } = this.profile;
+    if (value !== MORE) void this.cockpit.commands.command(`profile ${value}`, "set", "delay_node", { profile: value });
+    else {
+      this.isWide = true;
+      this.begin();
+      this.profile.focus();
+    }
   }
 
   private check(): boolean {

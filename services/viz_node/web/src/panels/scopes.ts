@@ -3,6 +3,7 @@ import { colour, make, save } from "../dom";
 import { Pace } from "../pace";
 import { Playhead } from "../playhead";
 import type { Ring } from "../ring";
+import { OLD_S } from "../freshness";
 import { drawnAs } from "../scopes/catalog";
 import { BUILT_IN, Layouts, moved, overlaid, type ScopeSpec } from "../scopes/layout";
 import { columnsOf, Plot, type Window } from "../scopes/plot";
@@ -210,12 +211,14 @@ export class ScopesPanel implements Panel {
       const from = Math.min(Math.max(0, at - span / 2), Math.max(0, length - span));
       const part = document.between(from, from + span);
       const moments = (document.about?.moments ?? []).filter(({ kind }) => kind !== "node").map(({ t_s }) => t_s);
-      return { from, to: from + span, zero: 0, now: at, cursors: this.cursorTimes, moments, width: part?.width ?? 0, ring: (stream) => part?.rings.get(stream) };
+      return { age: () => 0, from, to: from + span, zero: 0, now: at, cursors: this.cursorTimes, moments, width: part?.width ?? 0, ring: (stream) => part?.rings.get(stream) };
     }
-    const head = this.playhead.advance(store.newest, now, 1);
+    // time goes on although nothing comes: what is missing shows as missing
+    const head = this.playhead.advance(Math.max(store.newest, store.freshness.newest(now) - OLD_S), now, 1);
     const to = this.pausedAt ?? head;
     if (!Number.isFinite(to)) return undefined;
-    return { from: to - this.span, to, zero: to, now: undefined, cursors: this.cursorTimes, moments: [], width: 0, ring: (stream: string): Ring | undefined => store.rings.get(stream) };
+    const age = (stream: string): number => (this.pausedAt === undefined && (store.isPictureOld || store.isOld(stream)) ? store.age_s(stream) : 0);
+    return { age, from: to - this.span, to, zero: to, now: undefined, cursors: this.cursorTimes, moments: [], width: 0, ring: (stream: string): Ring | undefined => store.rings.get(stream) };
   }
 
   private get cursorTimes(): [number, number] | undefined {

@@ -26,7 +26,7 @@ export class SessionPanel implements Panel {
     const split = button("split", "New file", () => commands.command("begin a new file", "set", "recorder", { "record.split": true }));
     this.buttons = [this.start, stop, couple, mark, split];
     const programme = make("div", { class: "segments", role: "group", "aria-label": "Force profile of the operator" }, this.start, stop);
-    root.append(make("div", { class: "row tight" }, programme, make("span", { class: "spacer" }), couple), make("div", { class: "row tight" }, this.mark, mark, split));
+    root.append(make("div", { class: "row tight" }, programme, make("span", { class: "spacer" }), couple), make("div", { class: "row tight" }, this.mark, mark, make("details", { class: "menu", id: "file-more" }, make("summary", { "aria-label": "More of the recording" }, "⋯"), make("div", { class: "sheet" }, split))));
   }
 
   begin(): void {

@@ -1,6 +1,6 @@
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
-import { bannersOf } from "../state";
+import { bannersOf, type Banner } from "../state";
 
 /** Above every panel: what is shown, its state across the whole width, and the emergency stop at its end. */
 export class StatusPanel implements Panel {
@@ -10,6 +10,7 @@ export class StatusPanel implements Panel {
   private readonly stop = make("button", { type: "button", id: "estop", "aria-keyshortcuts": "Escape", onclick: () => void this.cockpit.commands.estop() });
   private shown = "";
   private shownStop = "";
+  private seen: Banner[] = [];
 
   constructor(
     private readonly root: HTMLElement,
@@ -24,10 +25,12 @@ export class StatusPanel implements Panel {
   }
 
   begin(): void {
+    this.look();
     this.write();
   }
 
   write(): void {
+    this.drawBanners();
     const { source, role, window } = this.cockpit.store;
     const { link } = this.cockpit.commands;
     const name = source.name.split("/").at(-1) ?? "";
@@ -37,13 +40,18 @@ export class StatusPanel implements Panel {
     document.title = link === "open" && window ? `telenano, window ${window}` : "telenano";
   }
 
-  /** Show what an operator must not overlook, at its time and not with the frames, of which a slow machine draws few. */
-  draw(): void {
+  /** See what an operator must not overlook in the instant that is shown; return what of it is seen at once, without its numbers. */
+  look(): string {
     const { commands, store } = this.cockpit;
-    const banners = bannersOf(store, commands.link, commands.linkText);
-    const text = JSON.stringify(banners);
+    this.seen = bannersOf(store, commands.link, commands.linkText);
     this.drawStop();
-    if (text === this.shown) return;
+    return this.seen.map(([kind, words]) => `${kind} ${words.replace(/[\d.]+/g, "")}`).join();
+  }
+
+  private drawBanners(): void {
+    const banners = this.seen;
+    const text = JSON.stringify(banners);
+    if (!banners.length || text === this.shown) return;
     this.shown = text;
     this.root.dataset["state"] = banners[0]![0];
     this.banners.replaceChildren(...banners.map(([kind, words]) => make("span", { class: `banner ${kind}` }, words)));
@@ -58,7 +66,7 @@ export class StatusPanel implements Panel {
     this.shownStop = key;
     this.stop.toggleAttribute("data-dead", dead !== undefined);
     this.stop.setAttribute("aria-disabled", String(dead !== undefined));
-    this.stop.disabled = dead !== undefined && this.cockpit.commands.link === "open";
+    this.stop.disabled = dead !== undefined && this.cockpit.store.source.kind === "recording" && this.cockpit.commands.link === "open";
     this.stop.title = dead?.long ?? "Stops both devices at once";
     if (!dead) this.stop.replaceChildren("EMERGENCY STOP ", make("kbd", {}, "Esc"));
     else {

@@ -6,6 +6,7 @@ import type { Store } from "../store";
 import { TICK_PX, tickPlaces, tickTexts } from "../ticks";
 import { drawnTogether, SHORT, type Drawn } from "./catalog";
 import { ForceDistance } from "./force_distance";
+import { ageWords } from "../freshness";
 import type { ScopeSpec } from "./layout";
 import { axisRange, extentOf, heldAxis, noiseOf, type HeldAxis } from "./range";
 import { gapOf, readAt, samplesOf, type Reading, type Samples } from "./reading";
@@ -30,6 +31,8 @@ export interface Window extends Samples {
   now: number | undefined;
   cursors: readonly [number, number] | undefined;
   moments: readonly number[];
+  /** How old the newest sample of a stream is, where that is not of the present [s]; 0 where it is. */
+  age(stream: string): number;
 }
 
 /** One scope: curves over time, their spectrum, or force against distance. */
@@ -90,6 +93,7 @@ export class Plot {
 
   draw(window: Window): void {
     this.window = window;
+    this.area.toggleAttribute("data-old", this.spec.kind !== "time" && this.spec.curves.some(({ stream }) => window.age(stream) > 0));
     if (this.distance) this.distance.draw(window.ring("tip"), window.from, window.to, window.width, window.now ?? window.to);
     else if (this.spec.kind === "spectrum") this.drawSpectrum(window);
     else this.drawTime(window);
@@ -244,10 +248,30 @@ export class Plot {
       }
     };
     pen.save();
+    this.drawAge(plot, window);
     for (const moment of window.moments) line(moment, colour("edge"), 1, [2, 3]);
     if (window.now !== undefined) line(window.now, colour("text"), 1.5, []);
     window.cursors?.forEach((time, i) => line(time, colour("text"), 1.5, [5, 3], "AB"[i]!));
     pen.restore();
+  }
+
+  /** Grey from the last sample on, with its age, where what is drawn ends before the present. */
+  private drawAge(plot: uPlot, window: Window): void {
+    const ends = this.spec.curves.map(({ stream }) => [window.ring(stream)?.newest ?? -Infinity, window.age(stream)] as const).filter(([newest, age]) => age > 0 && newest < window.to);
+    if (!ends.length) return;
+    const [newest, age] = ends.reduce((oldest, each) => (each[0] < oldest[0] ? each : oldest));
+    const { ctx: pen, bbox } = plot;
+    const ratio = devicePixelRatio;
+    const from = Math.max(bbox.left, Math.min(bbox.left + bbox.width, plot.valToPos(newest - window.zero, "x", true)));
+    pen.globalAlpha = 0.35;
+    pen.fillStyle = colour("quiet");
+    pen.fillRect(from, bbox.top, bbox.left + bbox.width - from, bbox.height);
+    pen.globalAlpha = 1;
+    pen.fillStyle = colour("text");
+    pen.font = `${11 * ratio}px system-ui`;
+    pen.textAlign = "right";
+    pen.fillText(`${ageWords(age)} old`, bbox.left + bbox.width - 4 * ratio, bbox.top + bbox.height - 6 * ratio);
+    pen.textAlign = "left";
   }
 
   private build(): uPlot {
