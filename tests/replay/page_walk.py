@@ -94,7 +94,9 @@ class PageWalk:
     def key(self, key: str) -> None:
         """Press a key at the page."""
         offer = self.seen.get("offer" if key == "n" else "other") or {}
-        self.trace.append(f"{self.rig.now_s:.1f} s: key {key}, {offer.get('label', 'nothing')}: {self.seen.get('says', '')}")
+        self.trace.append(
+            f"{self.rig.now_s:.1f} s: key {key}, {offer.get('label', 'nothing')}: {self.seen.get('says', '')}"
+        )
         self._say(key=key)
 
     def disturb(self) -> None:
@@ -133,7 +135,7 @@ class PageWalk:
                     self.key(draw.choice("nnnd"))
                     self.wait(draw.choice((0.1, 0.5, 2.0)))
             case "couple":
-                self._couple()
+                self.couple()
             case "lose":
                 device = draw.choice((HAND, TIP))
                 rig.lose(device, lost=True)
@@ -191,11 +193,16 @@ class PageWalk:
         frames = []
         if reload:
             self._pending, self._answer = None, None
-            frames.append({"k": "snapshot", "at_s": at_s, "role": "operator", "me": "walker", "window": "A", "commands": True})
+            frames.append(
+                {"k": "snapshot", "at_s": at_s, "role": "operator", "me": "walker", "window": "A", "commands": True}
+            )
             frames[0] |= {"hand": True, "streams": described(), "forms": {}, "source": {"kind": "live", "name": ""}}
             frames[0] |= self.rig.feed.snapshot()
         frames.append({"k": "tick", "at_s": at_s, **self.rig.feed.take()})
-        step: dict[str, Any] = {"now_ms": 1e3 * at_s, "frames": [base64.b64encode(msgpack.packb(each)).decode() for each in frames]}
+        step: dict[str, Any] = {
+            "now_ms": 1e3 * at_s,
+            "frames": [base64.b64encode(msgpack.packb(each)).decode() for each in frames],
+        }
         step |= {"key": key} if key else {}
         step |= {"reload": True} if reload else {}
         if self._answer is not None:
@@ -224,7 +231,7 @@ class PageWalk:
             rig.command(asked["command"], HAND if asked["command"] == "start" else asked["target"], **parameters)
             self._answer = {"ok": True, "text": "done"}
 
-    def _couple(self) -> None:
+    def couple(self) -> None:
         """Let hand and tip meet again, as the key of the page does, and note where that ended."""
         before = self.rig.states[-1].in_contact
         try:

@@ -41,7 +41,7 @@ function load() {
   let meant: number | undefined;
   const hand = {
     get isOffered(): boolean {
-      return commands.may && store.ownLease > 0;
+      return commands.may;
     },
     get isHeld(): boolean {
       return meant !== undefined;
