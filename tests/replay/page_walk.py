@@ -35,6 +35,9 @@ MOST_PRESSES = 8
 # A button is waited for as long as the slowest way of a tip, or a program, takes.
 PATIENCE_S = 60.0
 LAWS = ("virtual_impedance", "position_force", "wave", "passivity")
+# What may happen; the keys of a person are drawn more often.
+THINGS = ("withdraw", "stop", "stop one", "law", "press", "program", "reload", "silence", "couple", "lose", "restart")
+THINGS += ("keys",) * 3
 # A page that pressed and is not heard for so long has lost the hand, and its server withdraws the tip.
 SILENT_S = 1.2
 
@@ -102,10 +105,7 @@ class PageWalk:
     def disturb(self) -> None:
         """Let one thing happen that the generator draws, and wait a little."""
         rig, draw = self.rig, self._draw
-        what = draw.choice(
-            ("withdraw", "stop", "stop one", "law", "press", "program", "reload", "silence", "keys", "keys", "keys")
-            + ("couple", "lose", "restart")
-        )
+        what = draw.choice(THINGS)
         self.trace.append(f"{rig.now_s:.1f} s: {what}")
         match what:
             case "withdraw":

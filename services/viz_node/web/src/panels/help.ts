@@ -38,7 +38,7 @@ export class HelpPanel implements Panel {
       make("h3", {}, "Words"),
       make("dl", { class: "words-of-page" }, ...WORDS.flatMap(([word, meaning]) => [make("dt", {}, word), make("dd", {}, meaning)])),
       make("h3", {}, "Keys"),
-      make("p", { class: "quiet" }, "Esc stops. n does what is next, g lets the tip go back, w keeps it withdrawn, u lets go of the hand, h takes or asks for control. On the hand ↓ and ↑ press. c shows cursors, p pauses the scopes, m marks, o lets hand and tip meet again."),
+      make("p", { class: "quiet" }, "Esc stops. n does what is next, g lets the tip go back, w keeps it withdrawn, u lets go of the hand, d presses a little more, h takes or asks for control. On the hand ↓ and ↑ press. c shows cursors, p pauses the scopes, m marks, o lets hand and tip meet again."),
     );
   }
 }
