@@ -36,6 +36,7 @@ NEXT = (
     "next: Ctrl-C or `docker compose down` ends the nodes, which keep the tip withdrawn; "
     "`SCENARIO=touch docker compose up` lets you press"
 )
+ADDRESSES = "docker compose exec viz_node telenano view --addresses"
 _LONGEST_NAME = 4096
 _LONGEST_ANSWER = 1000
 _DONE = b"done"
@@ -137,10 +138,13 @@ def tell(text: str) -> None:
 
 
 def page_line(runtime: Path) -> str:
-    """Return where the page of the rig is, with the token; or that there is none."""
+    """Return where the page of the rig is, and the command that shows its token; or that there is none."""
     lines = [line for file in sorted(runtime.glob("view-*.addresses")) for line in file.read_text().splitlines()]
     address = next((line.partition(": ")[2] for line in lines if line.startswith("operator: ")), "")
-    return f"page: {address}" if address else "page: none is served; the log of viz_node says why"
+    if not address:
+        return "page: none is served; the log of viz_node says why"
+    # Anyone who may use the engine may read this log.
+    return f"page: {address.partition('#')[0]}; `{ADDRESSES}` prints the address with its token"
 
 
 def recordings_of(summary: Path) -> dict[Path, str]:

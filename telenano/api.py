@@ -258,8 +258,8 @@ class RecordedSession(Session):
                 sent.setdefault(message.src, []).append(message)
         rows: list[tuple[int, dict[str, Any]]] = []
         for publisher, messages in sent.items():
-            stamps = np.array([message.publish_ns for message in messages], dtype=np.int64)
-            rows += zip(self._timeline.times_ns(publisher, stamps).tolist(), map(row, messages), strict=True)
+            stamps, heard = np.array([(each.publish_ns, each.log_ns) for each in messages], dtype=np.int64).T
+            rows += zip(self._timeline.times_ns(publisher, stamps, heard).tolist(), map(row, messages), strict=True)
         return _table(topic_of(channel), rows, self.start_ns)
 
 

@@ -131,7 +131,12 @@ class AfmNode(DeviceNode):
         # Compile before the first command; in the retracted state a step changes nothing.
         asked = safety.SafetyInputs(0.0, math.inf, safety.ACTION_HOLD, False, False, 0.0)
         safety.safety_step(self._limits, self._memory.guard, asked, self.period_s)
-        driver.exchange(self._memory.guard.base_m)
+        self._memory.away = driver.report is not None
+        begun_m = self._memory.guard.base_m
+        if self._memory.away:
+            # A real instrument stays where its driver has made it safe.
+            begun_m = min(begun_m, driver.safe_position_m)
+        self._memory.found_m = driver.exchange(begun_m).base_m
         if (report := driver.report) is not None:
             self.has_device(driver.latency_s, driver.calibration_identity)
             self.process_report(report)

@@ -101,6 +101,7 @@ class ControllerHalf(Node):
             freshness=self.freshness.capture(),
         )
         self.lateral = config.lateral_params()
+        self.hand_limits = config.hand_params()
         self.timing_params = self.timing_of(config)
         self._status_ticks = max(1, round(STATUS_PERIOD_S / config.period_s))
         self._band = config.deadband.to_params()
@@ -192,6 +193,7 @@ class ControllerHalf(Node):
         self.law = KNOWN_LAWS[config.law]
         self._band = config.deadband.to_params()
         self.lateral = config.lateral_params()
+        self.hand_limits = config.hand_params()
 
     def _switch(self) -> None:
         half = self.half

@@ -8,6 +8,7 @@ import msgspec
 from services.controller.half import ROUND_TRIP_UNKNOWN, ZERO_XY, ControllerHalf, HalfState
 from telenano.extend.laws import EnergyAccount, HandSample, MasterReference
 from telenano.laws import energy, integration
+from telenano.laws.hand_limits import Trial, free, let_through, received_within
 from telenano.laws.integration import MasterTiming, TimingParams
 from telenano.laws.lateral import (
     DIRECT,
@@ -72,6 +73,7 @@ class MasterState(msgspec.Struct, array_like=True, kw_only=True):
     sent_m: tuple[float, float] = ZERO_XY
     drifts: bool
     felt_ns: int = -1
+    stop: Trial = free()
 
 
 class MasterController(ControllerHalf):
@@ -224,7 +226,9 @@ class MasterController(ControllerHalf):
 
     def _send_signal(self, dt_s: float) -> None:
         memory = self.memory
-        hand = memory.hand._replace(following=False) if self.half.switching else self._guided_hand()
+        hand = let_through(memory.stop, self._guided_hand())
+        if self.half.switching:
+            hand = memory.hand._replace(following=False)
         self.law_state, signal = self.law.master_send(self.params, self.law_state, hand, dt_s)
         memory.tip_reference_m = signal.position_m
         # Lateral motion of the hand is sent even if the dead band holds the law's signal back.
@@ -320,11 +324,20 @@ class MasterController(ControllerHalf):
         )
 
     def _step_law(self, dt_s: float) -> MasterReference:
-        signal = self.latest_signal()
-        self.law_state, reference = self.law.master_receive(
-            self.params, self.law_state, self._guided_hand(), signal, dt_s
+        """Step the law, with the part of the hand's force that the limits of the hand let through."""
+        memory = self.memory
+        self.law_state, reference, memory.stop = received_within(
+            self.hand_limits,
+            self.law.master_receive,
+            self.params,
+            self.law_state,
+            self._guided_hand(),
+            self.latest_signal(),
+            dt_s,
+            memory.reference,
+            memory.tip_reference_m,
         )
-        return cast(MasterReference, reference)
+        return reference
 
     def _coasting(self, dt_s: float) -> MasterReference:
         """Return the reference while this half waits for the other: it comes to rest, and the displayed force stays."""

@@ -14,6 +14,7 @@ from telenano.runtime.loop.realtime import has_fifo
 from telenano.runtime.wiring.main import NodeKind, Wiring, run_node
 from telenano.settings.link_settings import LinkSettings, changes_text
 from telenano.wire.errors import ConfigError
+from telenano.wire.nodes import HAND
 
 
 def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, NodeBus]:
@@ -30,6 +31,9 @@ def build(wiring: Wiring, settings: LinkSettings) -> tuple[Node, NodeBus]:
     # without real-time priority does not, because any other process could then get the processor.
     to_master.yields = to_slave.yields = has_fifo()
     connections = [wiring.book.bridged_from(site) for site in ("master", "slave")]
+    # The hand's answers do not cross: from them the link knows that it has obeyed a stop.
+    if HAND in wiring.book.nodes and wiring.book.reaches(wiring.book.machine_of(wiring.key), HAND):
+        connections[0].setdefault(HAND, []).append("session/event")
     for answering, topics in wiring.book.sources("delay_node@slave", ["clock/pong"]).items():
         connections[1].setdefault(answering, []).extend(topics)
     listeners = [listener for plan in connections for listener in wiring.subscribers(plan)]

@@ -1,7 +1,12 @@
-"""The emergency stop that the link keeps for the instrument until the instrument has obeyed it (ADR 0059).
+"""The emergency stop that the link keeps for the device at the other site until that has obeyed it (ADR 0059).
 
-While a stop is kept, the link sends it repeatedly, and blocks samples of the hand and commands that start a motion. So
-it does not matter whether the network lost the stop, when it recovers, and which message arrives first.
+While a stop for the instrument is kept, the link sends it repeatedly, and blocks samples of the hand and commands that
+start a motion. So it does not matter whether the network lost the stop, when it recovers, and which message arrives
+first.
+
+A stop that was given at the instrument's site crosses in the instrument's answer, because senders there have no
+connection to the link: the answer repeats the command with its target. If the target includes the hand, the link sends
+the stop to the hand until the hand has obeyed it, unless it already has.
 """
 
 from pathlib import Path
@@ -13,22 +18,28 @@ from telenano.runtime.loop.commands import RESEND_NS
 from telenano.runtime.loop.estop_latch import begins_motion
 from telenano.timing.clock import NEVER_NS
 from telenano.wire import encode
-from telenano.wire.codec import accept
+from telenano.wire.answers import read_answer
+from telenano.wire.codec import accept, fields_of
 from telenano.wire.messages import Message, SessionControl, SessionEvent
-from telenano.wire.nodes import TIP, is_meant
+from telenano.wire.nodes import HAND, TIP, is_meant, site_of
 
-# Sender of the copies. A copy has a new time, because a reader drops repetitions, and the number after that of the
-# newest message of this sender that the link has sent on, so that a reader sees no gap.
-_SENDER = "estop@master"
-# An instrument that has not answered this number of copies counts as unreachable.
+# Sender of the copies, the estop of the site from which the stop comes. A copy has a new time, because a reader drops
+# repetitions, and the number after that of the newest message of this sender that the link has sent on, so that a
+# reader sees no gap.
+_SENDERS = {TIP: "estop@master", HAND: "estop@slave"}
+# A device that has not answered this number of copies counts as unreachable.
 _UNREACHED = 5
+# Number of stops that are remembered as obeyed. The instrument may answer a stop again, long after a person has armed
+# the hand, which must not stop the hand once more.
+_REMEMBERED = 16
 
 
 class FarStopState(msgspec.Struct, array_like=True):
     """The state of the kept stop.
 
     payload: the stop as it was sent, empty if none is kept; copies: number of copies sent; due_ns: time of the next one
-    [ns]; obeyed: id of the last stop obeyed; number: that of the newest message of the copies' sender, -1 before it.
+    [ns]; obeyed: id of the last stop obeyed; number: that of the newest message of the copies' sender, -1 before it;
+    answered: ids of the newest stops that the device has acknowledged, by whatever way they came to it.
     """
 
     payload: bytes = b""
@@ -36,18 +47,34 @@ class FarStopState(msgspec.Struct, array_like=True):
     due_ns: int = NEVER_NS
     obeyed: str = ""
     number: int = -1
+    answered: tuple[str, ...] = ()
+
+
+def stop_in_answer(event: SessionEvent) -> SessionControl | None:
+    """Return the emergency stop that an acknowledgement repeats; None for any other event."""
+    if event.kind != "ack" or event.data.get("command") != "estop":
+        return None
+    answered = read_answer(fields_of(event))
+    if answered is None:
+        return None
+    return SessionControl(
+        seq=0, t_ns=event.t_ns, src=f"estop@{site_of(event.src)}", v=SessionControl.version, id=event.id,
+        command="estop", target=answered.target, parameters={}, by=answered.by or None,
+    )  # fmt: skip
 
 
 class FarStop:
-    """Keeps the newest emergency stop for the instrument that has passed the link and is not obeyed yet."""
+    """Keeps the newest emergency stop for a device that has passed the link and is not obeyed yet."""
 
-    def __init__(self, path: Path | None, state: FarStopState) -> None:
+    def __init__(self, path: Path | None, state: FarStopState, device: str = TIP) -> None:
         """Start with a state, which is changed in place; in the file `path`, if any, a stop outlasts this process.
+
+        `device` is the device that has to obey the stop.
 
         Raises:
             ValueError: The payload in the state is invalid, or is no emergency stop.
         """
-        self._path = path
+        self._path, self._device = path, device
         self.restore(state)
 
     def restore(self, state: FarStopState) -> None:
@@ -91,9 +118,9 @@ class FarStop:
             payload: The encoded message of the stop.
             now_ns: The monotonic time [ns].
         """
-        if control.src == _SENDER:
+        if control.src == _SENDERS[self._device]:
             self._state.number = control.seq
-        if not is_meant(TIP, control.target) or control.id == self._state.obeyed:
+        if not is_meant(self._device, control.target) or control.id == self._state.obeyed:
             return ""
         if control.id == self.identifier:
             # Its sender still repeats it, so a copy can wait.
@@ -103,9 +130,30 @@ class FarStop:
         self._state.payload, self._state.copies, self._state.due_ns = payload, 0, now_ns + RESEND_NS
         return "" if self._path is None else kept_stop.keep(self._path, payload)
 
+    def take_answer(self, stop: SessionControl, payload: bytes, now_ns: int) -> bool:
+        """Keep a stop that the answer of the other device repeats, and make its first copy due.
+
+        Args:
+            stop: The stop.
+            payload: The encoded message of the stop.
+            now_ns: The monotonic time [ns].
+
+        Returns:
+            Whether this device has acknowledged the stop before; it is then not kept.
+        """
+        if stop.id in self._state.answered:
+            return True
+        if is_meant(self._device, stop.target) and stop.id != self.identifier:
+            self._stop = stop
+            self._state.payload, self._state.copies, self._state.due_ns = payload, 0, now_ns
+        return False
+
     def note_event(self, event: SessionEvent) -> bool:
         """Return whether an event acknowledges the kept stop; if so, forget the stop."""
-        is_answer = self._stop is not None and event.src == TIP and event.kind == "ack" and event.id == self._stop.id
+        is_of_device = event.src == self._device and event.kind == "ack"
+        if is_of_device and event.data.get("command") == "estop" and event.id not in self._state.answered:
+            self._state.answered = (*self._state.answered, event.id)[-_REMEMBERED:]
+        is_answer = self._stop is not None and is_of_device and event.id == self._stop.id
         if is_answer:
             state, self._stop = self._state, None
             state.payload, state.copies, state.due_ns, state.obeyed = b"", 0, NEVER_NS, event.id
@@ -133,4 +181,6 @@ class FarStop:
         self._state.copies += 1
         self._state.number += 1
         self._state.due_ns = now_ns + RESEND_NS
-        return encode(msgspec.structs.replace(self._stop, src=_SENDER, seq=self._state.number, t_ns=t_ns))
+        return encode(
+            msgspec.structs.replace(self._stop, src=_SENDERS[self._device], seq=self._state.number, t_ns=t_ns)
+        )

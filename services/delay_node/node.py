@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from services.delay_node.far_stop import FarStop, FarStopState
+from services.delay_node.far_stop import FarStop, FarStopState, stop_in_answer
 from telenano.link.declared_delay import DECLARED, ONE_MACHINE, BetweenSites, DeclaredDelay, between_sites
 from telenano.link.engine import LinkState
 from telenano.link.fate import Fate, Release
@@ -18,18 +18,26 @@ from telenano.runtime.wiring.link_transports import TRAIN
 from telenano.settings.link_files import OWN_TRACES, Traces
 from telenano.settings.link_settings import LinkSettings
 from telenano.timing.clock_offset import OffsetState
-from telenano.wire import TOPICS
+from telenano.wire import encode
+from telenano.wire.answers import OBEYED
 from telenano.wire.codec import WireError, accept
 from telenano.wire.errors import RefusedError
-from telenano.wire.messages import ClockPong, SessionControl, SessionEvent
+from telenano.wire.messages import ClockPong, Message, SessionControl, SessionEvent
 from telenano.wire.node_state import FindInput
-from telenano.wire.nodes import LINK, TIP
+from telenano.wire.nodes import HAND, LINK, TIP, site_of
 from telenano.wire.received import Received
-from telenano.wire.topics import output_name
+from telenano.wire.topics import crosses_from, output_name
 
 # Topics that the link blocks while the instrument has not obeyed an emergency stop.
 _HELD_BACK = ("teleop/forward", "session/control")
 _STOP = "stop"
+
+
+def crossing(topic: str, message: Message) -> str | None:
+    """Return the direction in which a message crosses the link, None if it does not; back cross stops alone."""
+    direction = crosses_from(topic, site_of(message.src))
+    is_command = type(message) is SessionControl and message.command != "estop"
+    return None if direction == "backward" and is_command else direction
 
 
 class DelayNodeState(msgspec.Struct, array_like=True, kw_only=True):
@@ -40,7 +48,8 @@ class DelayNodeState(msgspec.Struct, array_like=True, kw_only=True):
     the exchanges of time stamps by second; answer: times of sending and reception of the newest answer [ns], 0 before
     it; session_id: the command that began the session; status_ns, unreported: time of the next report [ns], and the
     number of messages that it will count; stop: the emergency stop that the instrument has not obeyed yet; questions:
-    the times of the questions for the other site's time.
+    the times of the questions for the other site's time; hand_stop: the emergency stop of the instrument's site that
+    the hand has not obeyed yet.
     """
 
     engine: LinkState
@@ -54,6 +63,7 @@ class DelayNodeState(msgspec.Struct, array_like=True, kw_only=True):
     unreported: int
     stop: FarStopState = msgspec.field(default_factory=FarStopState)
     questions: Questions = msgspec.field(default_factory=Questions)
+    hand_stop: FarStopState = msgspec.field(default_factory=FarStopState)
 
 
 class DelayNode(ImpairedLink):
@@ -108,12 +118,13 @@ class DelayNode(ImpairedLink):
         )
         self._spans_machines, self._send_train = spans_machines, send_train
         self._stop = FarStop(context.kept_stop, self.memory.stop)
+        self._hand_stop = FarStop(None, self.memory.hand_stop, HAND)
         # Each report also publishes the delays, because late readers need them and the clocks change them, and starts
         # the next exchange of time stamps.
         self.report_tasks += self._declare_forward, partial(self._declare, self.backward), self._ask
 
     def deadline_ns(self) -> int:
-        due_ns = min(super().deadline_ns(), self._stop.due_ns)
+        due_ns = min(super().deadline_ns(), self._stop.due_ns, self._hand_stop.due_ns)
         if self._spans_machines:
             due_ns = min(due_ns, self.memory.questions.due_ns(2 * self.memory.between.transit_ns))
         return due_ns
@@ -122,18 +133,19 @@ class DelayNode(ImpairedLink):
         self.begin_turn(received.received_ns - self.clock.epoch_offset_ns)
         if type(received.message) is ClockPong:
             self._take_answer(received.message, received.received_ns)
-        direction = TOPICS[received.topic].bridged
+        message = received.message
+        if type(message) is SessionEvent:
+            self._note_answer(message)
+        direction = crossing(received.topic, message)
         if direction is None:
             return
-        message = received.message
         if self._spans_machines and received.topic == self.memory.backward_delay.topic:
             self.memory.questions.hear(received.received_ns - self.clock.epoch_offset_ns)
         is_stop = type(message) is SessionControl and message.command == "estop"
         if type(message) is SessionControl and is_stop:
-            if fault := self._stop.record(message, received.payload, self.clock.monotonic_ns()):
+            stop = self._stop if direction == "forward" else self._hand_stop
+            if fault := stop.record(message, received.payload, self.clock.monotonic_ns()):
                 self.event("fault", "warning", fault)
-        elif type(message) is SessionEvent:
-            self._note_answer(message)
         elif received.topic in _HELD_BACK and self._stop.holds_back(message):
             self.forward.engine.leave_out(
                 received.received_ns, received.topic, received.payload, message.seq, message.src, _STOP
@@ -144,7 +156,7 @@ class DelayNode(ImpairedLink):
             self.memory.session_id = message.id
             self.engine.begin_session(received.received_ns)
         for way in self.directions:
-            if direction in (way.name, "both"):
+            if direction == way.name:
                 # An emergency stop is no part of the experiment, and must not wait for a stalled line.
                 due = way.engine.submit(
                     received.received_ns, received.topic, received.payload, message.seq, message.src, at_once=is_stop
@@ -156,6 +168,7 @@ class DelayNode(ImpairedLink):
         self.begin_turn(now_ns)
         self.send_due(now_ns)
         self._send_stop(now_ns)
+        self._send_stop_to_hand(now_ns)
         if self._spans_machines and self.memory.questions.take(now_ns, 2 * self.memory.between.transit_ns):
             self._ask()
         self.report_if_due(now_ns)
@@ -169,6 +182,7 @@ class DelayNode(ImpairedLink):
         self.engine.restore(state.engine, find)
         self.offset.restore(state.clock)
         self._stop.restore(state.stop)
+        self._hand_stop.restore(state.hand_stop)
 
     def further_outputs(self) -> dict[str, int]:
         """Return the number of forwarded messages by endpoint, and the sequence numbers at the slave's endpoint."""
@@ -231,11 +245,38 @@ class DelayNode(ImpairedLink):
             text = f"{TIP} has not answered an emergency stop: it is kept and sent until it has, and no sample crosses"
             self.event("link", "warning", text)
 
+    def _send_stop_to_hand(self, now_ns: int) -> None:
+        """Send a copy of a stop of the instrument's site if it is due; report once that the hand does not answer."""
+        was_unreached = self._hand_stop.is_unreached
+        if (payload := self._hand_stop.copy(now_ns, self.clock.now_ns())) is None:
+            return
+        self.backward.outlet.send("session/control", payload)
+        self._forwarded[self.backward.endpoint] += 1
+        if self._hand_stop.is_unreached and not was_unreached:
+            self.event(
+                "link", "warning", f"{HAND} has not answered an emergency stop: it is kept and sent until it has"
+            )
+
     def _note_answer(self, event: SessionEvent) -> None:
-        """Forget the kept stop if this event says that the instrument has obeyed it."""
-        was_unreached = self._stop.is_unreached
-        if self._stop.note_event(event) and was_unreached:
-            self.event("link", "info", f"{TIP} has obeyed the emergency stop that was kept for it")
+        """Forget a kept stop whose device has obeyed it by this event; carry a stop of the instrument's site."""
+        for device, stop in ((TIP, self._stop), (HAND, self._hand_stop)):
+            was_unreached = stop.is_unreached
+            if stop.note_event(event):
+                if was_unreached:
+                    self.event("link", "info", f"{device} has obeyed the emergency stop that was kept for it")
+                if device == HAND:
+                    self._report_obeyed(event.id)
+        control = stop_in_answer(event) if event.src == TIP else None
+        if control is not None and self._hand_stop.take_answer(control, encode(control), self.clock.monotonic_ns()):
+            self._report_obeyed(control.id)
+
+    def _report_obeyed(self, identifier: str) -> None:
+        """Tell the instrument's site, to which answers of the hand do not cross, that the hand has obeyed a stop."""
+        if self._spans_machines:
+            facts = {"about_node": HAND, OBEYED: identifier}
+            text = "has obeyed the emergency stop, as the link reports"
+            event = {"id": "", "kind": "link", "level": "info", "text": text, "data": facts}
+            self.forward.outlet.publish("session/event", **event)
 
     def _declared(self, way: DirectionPath) -> DeclaredDelay:
         return self.memory.forward_delay if way is self.forward else self.memory.backward_delay

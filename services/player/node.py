@@ -124,6 +124,8 @@ class Route:
             return message.payload
         fields = message.fields()
         fields["seq"] = message.seq + self._offset
+        # The number is no longer one of the recorded process.
+        fields.pop("run", None)
         if self._is_command:
             fields["t_ns"] = clock.now_ns()
             # The latch refers to an emergency stop of the recorded run, which cannot be released again.

@@ -23,7 +23,7 @@ from telenano.runtime.bus.bus import split_frames
 from telenano.settings.package_topics import row_of
 from telenano.timing.clock import Clock
 from telenano.wire import TOPICS, decode
-from telenano.wire.codec import MAX_MESSAGE_BYTES, WireError, fields_of, read_header
+from telenano.wire.codec import MAX_MESSAGE_BYTES, WireError, fields_of, read_whole_header
 from telenano.wire.ends import END_TOPIC, read_end
 from telenano.wire.errors import RecordingError
 from telenano.wire.messages import SOURCE_PATTERN
@@ -134,13 +134,13 @@ class Intake:
                 if row_of(topic) is None:
                     keep_unknown(topic)
             payload = frames[1]
-            seq, t_ns, src = read_header(topic, payload)
+            seq, t_ns, src, run = read_whole_header(topic, payload)
             if (permit := listener.subscriber.permit) is not None:
                 permit(topic, src)
             stream = listener.streams.get((topic, src))
             if stream is None:
                 stream = self._open_stream(listener, topic, src, live=abs(received_ns - t_ns) < _LONGEST_QUEUE_NS)
-            arrival = stream.tracker.accept(seq, t_ns)
+            arrival = stream.tracker.accept(seq, t_ns, run)
             self._newest_ns = received_ns
             if stream.wanted:
                 if arrival is not _NEXT:
@@ -269,13 +269,14 @@ class Intake:
         if topic == "session/control" and fields.get("command") == "start":
             self._note_start(str(fields.get("id", "")))
         if topic == END_TOPIC and stream.direct:
-            self._compare_end(listener, stream.src, fields, received_ns)
+            self._compare_end(listener, fields, received_ns)
 
     def _open_stream(self, listener: Listener, topic: str, src: str, *, live: bool) -> Stream:
         row, site = TOPICS[topic], site_of(listener.publisher) or site_of(src)
         if not (_SOURCE.match(src) and len(src) <= _MAX_SOURCE_LENGTH):
             raise WireError("schema", f"{row.name}: src: {src[:80]!r} is not of the form node@site")
         tracker = listener.subscriber.tracker(row.name, src)
+        tracker.counts_heads = True
         name = channel_topic(row.name, src, site)
         direct = site_of(src) == site
         wanted = self._selection.names(name)
@@ -284,15 +285,18 @@ class Intake:
         self._streams.append(stream)
         return stream
 
-    def _compare_end(self, listener: Listener, src: str, fields: Mapping[str, Any], received_ns: int) -> None:
+    def _compare_end(self, listener: Listener, fields: Mapping[str, Any], received_ns: int) -> None:
         """Compare the counts that a publisher announced at its end with the received messages."""
         sent = read_end(fields)
         if sent is None:
             return
+        src = fields["src"]
         self._ended.add(src)
         for (name, source), count in sent.items():
             stream = listener.streams.get((name, source))
-            if stream is not None and stream.tracker.finish(count) and stream.wanted:
+            is_own = source == src
+            run = fields["run"] if is_own else None
+            if stream is not None and stream.tracker.finish(count, run, ended=is_own) and stream.wanted:
                 self._record_gaps(received_ns)
                 first, last = stream.tracker.last_gap
                 self._count_missing(stream, last - first + 1, at_end=True)
@@ -307,6 +311,8 @@ class Intake:
             # The numbers of the process before end here. Recorded later, its gaps could be read as those of the new
             # one, whose numbers begin again.
             self._record_gaps(received_ns, stream)
+            if stream.tracker.lacks_head:
+                self._open_gap(stream, received_ns)
 
     def _open_gap(self, stream: Stream, received_ns: int) -> None:
         """Open a gap, which is recorded unless its messages arrive within `_LATE_NS`."""

@@ -51,7 +51,7 @@ class Commander(Protocol):
         """
 
     def estop(self, by: str) -> Answers:
-        """Stop the devices at once; return the answer of each node; raise TelenanoError if that fails."""
+        """Stop the devices at once; return for each device a kind of `telenano.console.answers` and a sentence."""
 
 
 class PageCommand:

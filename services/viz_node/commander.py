@@ -5,12 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from telenano.console.coupling import recouple
-from telenano.console.emergency_stop import Answer, LocalRig, emergency_stop
+from telenano.console.emergency_stop import LocalRig, emergency_stop
 from telenano.console.going_back import send_way
+from telenano.console.last_seen import with_last_seen
 from telenano.console.send_commands import arm_steps, send_control
 from telenano.runtime.loop.commands import Command, CommandName
-from telenano.wire.errors import ConfigError
-from telenano.wire.messages import Scalar
+from telenano.wire.errors import ConfigError, TelenanoError
+from telenano.wire.messages import Scalar, SessionEvent
 from telenano.wire.nodes import TIP
 
 _NAMES: dict[str, CommandName] = {"start": "start", "stop": "stop", "arm": "arm", "set": "set", "mark": "mark"}
@@ -60,23 +61,19 @@ class RigCommander:
         return {src: (event.kind, event.text) for src, event in answers.items()}
 
     def estop(self, by: str) -> dict[str, tuple[str, str]]:
-        """Stop the devices like `telenano estop`: those of this machine directly, others through the console."""
+        """Stop the devices like `telenano estop`; return a kind and a sentence for each device, answered or not."""
         rig, reach = self._rig, self._rig.reach(_EVERYBODY, "")
-        answers: dict[str, tuple[str, str]] = {}
-
-        def note(answer: Answer) -> None:
-            answers.setdefault(answer.node, (answer.kind, answer.text))
-
-        if reach.direct or reach.by_link:
-            emergency_stop(rig, reach, _EVERYBODY, note, by)
-        if reach.by_console or not answers:
-            send_control(
-                Command("estop", _EVERYBODY),
-                self._site_file,
-                "master",
-                lambda event: note(Answer(event.src, event.kind, event.text)),
-                by=by,
-            )
+        rows = with_last_seen(rig, emergency_stop(rig, reach, _EVERYBODY, lambda answer: None, by))
+        answers = {node: (answer.kind, answer.sentence) for node, answer in rows.items()}
+        for target in reach.by_console or (() if rows else (_EVERYBODY,)):
+            events: list[SessionEvent] = []
+            try:
+                send_control(Command("estop", target), self._site_file, "master", events.append, by=by)
+            except TelenanoError as error:
+                if target == _EVERYBODY:
+                    raise
+                answers[target] = ("unreached", str(error))
+            answers |= {event.src: (event.kind, event.text) for event in events}
         return answers
 
 

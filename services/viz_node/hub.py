@@ -351,8 +351,10 @@ class Hub:
         identifier = getattr(request, "id", "")
         try:
             answers = await self._carried_out(session, request, arrived_s)
-            is_ok = not any(kind == "refused" for kind, _ in answers.values())
+            is_ok = bool(answers) and all(kind == "ack" for kind, _ in answers.values())
             text = "; ".join(f"{node}: {text}" for node, (_, text) in sorted(answers.items()))
+            if not is_ok and not any(kind == "refused" for kind, _ in answers.values()):
+                text = f"not acknowledged by all that were asked: {text}"
         except TelenanoError as error:
             is_ok, text = False, str(error)
         except Exception as error:  # noqa: BLE001

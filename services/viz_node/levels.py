@@ -32,7 +32,8 @@ class Samples:
     def __init__(self, stream: Stream) -> None:
         self.stream = stream
         self._loss, self._left_out = LinkLoss(), LeftOut()
-        self._stamps: list[int] = []
+        # When each was sent, and received [ns].
+        self._stamps: list[tuple[int, int]] = []
         self._rows: list[list[float]] = []
         self.src = ""
 
@@ -49,7 +50,7 @@ class Samples:
         complete = self._loss.added(fields) if self.stream.name == "link" else fields
         row = [column.value(complete) for column in self.stream.columns]
         self.src = message.src
-        self._stamps.append(message.publish_ns)
+        self._stamps.append((message.publish_ns, message.log_ns))
         self._rows.append(row)
 
     def note(self, message: RecordedMessage) -> None:
@@ -58,8 +59,8 @@ class Samples:
 
     def take(self, timeline: Timeline, start_ns: int) -> tuple[Floats, Floats]:
         """Return and remove the samples: times since the start [s], of shape (n,), and values of shape (columns, n)."""
-        stamps = np.array(self._stamps, dtype=np.int64)
-        times = (timeline.times_ns(self.src, stamps) - min(start_ns, LATEST_NS)) * 1e-9
+        stamps, heard = np.array(self._stamps, dtype=np.int64).reshape(-1, 2).T
+        times = (timeline.times_ns(self.src, stamps, heard) - min(start_ns, LATEST_NS)) * 1e-9
         values = np.array(self._rows, dtype=np.float64).reshape(len(stamps), len(self.stream.columns)).T
         self._stamps, self._rows = [], []
         return np.asarray(times, dtype=np.float64), values

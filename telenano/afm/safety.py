@@ -21,6 +21,9 @@ ESTOP; otherwise the outputs carry the reason of the refusal. After that the tip
 ARMED until a fresh position command comes, which begins FOLLOW. An e-stop, a retract command or the loss of the device
 cancels the request.
 
+What comes back stays where it was made safe: the base of an instrument that was lost, or that another process drove, is
+where its own read-out finds it (`found_at`).
+
 Arming moves nothing. The references of a hand (`of_hand`) count from the position of the base when FOLLOW begins: the
 base is at reference - offset, and the offset is chosen so that the base stays there. Only the permission `goes` lets
 the base move towards the sample by itself, as far as `place_m`; this motion is called a way:
@@ -164,6 +167,15 @@ class SafetyOutputs(NamedTuple):
     arm_refusal: int
     offset_m: float = 0.0
     ended: int = NOT_ENDED
+
+
+def found_at(state: SafetyState, base_m: float) -> SafetyState:
+    """Return the state in which the base stays where the instrument says that it is [m], if that is further away.
+
+    An instrument that comes back may have been made safe by itself, or by somebody else, at another place than the
+    guard would choose. It stays there until a person arms it.
+    """
+    return state._replace(base_m=min(state.base_m, base_m)) if math.isfinite(base_m) else state
 
 
 def initial_safety_state(params: SafetyParams) -> SafetyState:
@@ -487,7 +499,8 @@ def _next_base(
     if mode != MODE_FOLLOW:
         # A base further away than the retract position stays there: retracting never moves towards the sample.
         return max(base_m - params.retract_speed_m_per_s * dt, min(base_m, params.retract_position_m)), 0
-    target = min(max(reference_m, params.base_min_m), params.base_max_m)
+    # A base that was found below its range comes up only as far as its reference does: the range drives nothing.
+    target = min(max(reference_m, min(params.base_min_m, base_m)), params.base_max_m)
     limited = LIMITED_BY_RANGE if target != reference_m else 0
     reach = speed_m_per_s * dt
     base = min(max(target, base_m - reach), base_m + reach)

@@ -184,7 +184,7 @@ def _outside(recording: RecordingSource, timeline: Timeline, start_ns: int, end_
         axis, law = fields["data"].get("outside"), fields["data"].get("law")
         if not isinstance(axis, str) or not isinstance(law, str):
             continue
-        at_ns = int(timeline.times_ns(event.src, np.array([event.publish_ns], dtype=np.int64))[0])
+        at_ns = timeline.time_ns(event)
         if start_ns <= at_ns <= end_ns:
             time_s = round(1e-9 * (at_ns - start_ns), 3)
             row = {"time_s": time_s, "law": law, "axis": axis, "text": fields["text"]}

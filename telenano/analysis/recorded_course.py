@@ -116,7 +116,7 @@ def _line_in_force(recording: RecordingSource, session: Session) -> _Line | None
     found: _Line | None = None
     reports = recording.select(lambda channel: channel.topic == "link/status" and channel.via == "direct")
     for report, fields in readable(reports, recording.left_out):
-        at_ns = int(session.timeline.times_ns(report.src, np.array([report.publish_ns], dtype=np.int64))[0])
+        at_ns = session.timeline.time_ns(report)
         begun = at_ns >= session.start_ns
         if found is not None and begun and changed:
             break

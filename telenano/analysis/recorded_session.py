@@ -144,7 +144,7 @@ class Session:
         timeline = Timeline(recording)
         session = _read_session(recording, timeline)
         clock = timeline.clock
-        if clock is None or clock.applied or abs(clock.offset_s) < _LOOP_PERIOD_S:
+        if clock is None or clock.applied or clock.greatest_s < _LOOP_PERIOD_S:
             return session
         other = _read_session(recording, timeline.with_clock(clock._replace(applied=True)))
         return replace(session, otherwise=other)
@@ -184,8 +184,9 @@ class Session:
         hand = recording.columns("haptic/state", ("t_ns", "answered_t_ns", "answered_at_ns", "sample_age_s"))
         ways = []
         for topic in topics:
-            sent = recording.columns(channel_of[topic].channel_topic, ("hand_t_ns", "publish_ns"))
-            at_ns = self.timeline.times_ns(channel_of[topic].src, sent["publish_ns"].astype(np.int64))
+            sent = recording.columns(channel_of[topic].channel_topic, ("hand_t_ns", "publish_ns", "log_ns"))
+            stamps = sent["publish_ns"].astype(np.int64)
+            at_ns = self.timeline.times_ns(channel_of[topic].src, stamps, sent["log_ns"])
             ways.append(_first(sent["hand_t_ns"], at_ns))
         ways.append(_first(hand["answered_t_ns"], hand["answered_at_ns"]))
         keys = reduce(np.intersect1d, [own for own, _ in ways])
@@ -362,7 +363,7 @@ def _programs(recording: RecordingSource, timeline: Timeline, start_ns: int, end
     programs, begun_s = [], None
     reports = recording.select(lambda channel: channel.topic == "afm/program" and channel.via == "direct")
     for report, fields in readable(reports, recording.left_out):
-        at_ns = int(timeline.times_ns(report.src, np.array([report.publish_ns], dtype=np.int64))[0])
+        at_ns = timeline.time_ns(report)
         at_s, runs = (at_ns - start_ns) * 1e-9, fields["state"] in _RUNS
         if runs and begun_s is None:
             # A program starts before its first report.
@@ -434,7 +435,7 @@ def _reported(recording: RecordingSource, timeline: Timeline, start_ns: int) -> 
     reports = _Reported([], [], [], [], [])
     for event, fields in readable(events, recording.left_out):
         name, data, kind, text = name_of(event.src), fields["data"], fields["kind"], fields["text"]
-        at_ns = int(timeline.times_ns(event.src, np.array([event.publish_ns], dtype=np.int64))[0])
+        at_ns = timeline.time_ns(event)
         at_s = (at_ns - start_ns) * 1e-9
         report = ModeReport(at_s, str(data.get("mode", "")), str(data.get("reason", text)))
         if name == "afm_node" and kind == "mode" and report.mode in _WITHDRAWN:
@@ -589,7 +590,8 @@ def _datagrams(recording: RecordingSource, timeline: Timeline) -> dict[str, tupl
         arrived = report.lost_flag.to_numpy() == 0
         if report.clock.valid and arrived.any():
             took_ns, at_ns = (each.to_numpy()[arrived] for each in (report.delay_ns, report.arrived_ns))
-            left_ns = timeline.times_ns(message.src, at_ns) - took_ns
+            heard_ns = np.full(at_ns.shape, message.log_ns, dtype=np.int64)
+            left_ns = timeline.times_ns(message.src, at_ns, heard_ns) - took_ns
             by_name.setdefault(report.direction, []).append(np.column_stack([left_ns, took_ns]))
     rows = {way: np.concatenate(parts) for way, parts in by_name.items()}
     return {way: tuple(each[np.argsort(each[:, 0])].T) for way, each in rows.items()}
@@ -608,8 +610,8 @@ def _series(
     src = next((channel.src for channel in recording.channels if channel.channel_topic == channel_topic), None)
     if src is None and channel_topic != "haptic/state":
         return {name: np.empty(0, np.int64 if name == "t_ns" else np.float64) for name in ("t_ns", *fields)}
-    series = recording.columns(channel_topic, ("t_ns", *fields))
-    series["t_ns"] = timeline.times_ns(src or "", series["t_ns"].astype(np.int64))
+    series = recording.columns(channel_topic, tuple(dict.fromkeys(("t_ns", "log_ns", *fields))))
+    series["t_ns"] = timeline.times_ns(src or "", series["t_ns"].astype(np.int64), series["log_ns"])
     kept = in_step(series["t_ns"])
     return series if kept.all() else {name: values[kept] for name, values in series.items()}
 

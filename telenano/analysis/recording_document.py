@@ -2,8 +2,6 @@
 
 from typing import Any
 
-import numpy as np
-
 from telenano.analysis.phases import contacts_of, moments_of, phases_of
 from telenano.analysis.recorded_session import Session
 from telenano.analysis.session_judge import summary_of
@@ -97,7 +95,7 @@ def _events(recording: RecordingSource, start_ns: int, timeline: Timeline) -> li
     for message, fields in readable(events, recording.left_out):
         if fields.get("kind") in ("ack", "refused"):
             continue
-        at_ns = int(timeline.times_ns(message.src, np.array([message.publish_ns], dtype=np.int64))[0])
+        at_ns = timeline.time_ns(message)
         text = str(fields.get("text", ""))
         row = {"kind": str(fields.get("kind", "")), "level": str(fields.get("level", "info")), "src": message.src}
         rows.append({**row, "t_s": (at_ns - start_ns) * 1e-9, "text": text})

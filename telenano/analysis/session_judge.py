@@ -170,7 +170,7 @@ def _clocks(session: Session) -> dict[str, Any] | None:
     if clock is None:
         return None
     return {
-        "offset_s": round(clock.offset_s, 6),
+        "offset_s": None if clock.offset_s is None else round(clock.offset_s, 6),
         "uncertainty_s": round(clock.uncertainty_s, 6),
         "drift_ppm": round(1e6 * clock.drift, 1),
         "applied": clock.applied,

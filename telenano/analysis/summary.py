@@ -194,8 +194,14 @@ class OtherReading(_Part):
 class ClocksSummary(_Part):
     """Difference between the clocks of the two sites, as the link measured it."""
 
-    offset_s: float = Field(description="Time by which the slave's clock is ahead, in the middle of the recording [s]")
-    uncertainty_s: float = Field(description="Bound of the error of the offset: half of the best round trip [s]")
+    offset_s: float | None = Field(
+        description="Time by which the slave's clock is ahead, in the middle of the recording [s]; null where a clock "
+        "was set within it, because there is no single offset"
+    )
+    uncertainty_s: float = Field(
+        description="Bound of the error of the offset [s]: half of the best round trip; the greatest one where a clock "
+        "was set"
+    )
     drift_ppm: float = Field(description="Time that the slave's clock gains on the master's [ppm]")
     applied: bool = Field(description="Whether the clocks are shown to differ, so that the difference is taken off")
     reason: str = Field(description="Reason why the difference is taken off or not, in words")

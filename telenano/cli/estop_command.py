@@ -5,12 +5,14 @@ import json
 import os
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
-from telenano.console.emergency_stop import Answer, LocalRig, Reach, emergency_stop, keep_stop
+from telenano.console.answers import Answer, all_acknowledged, unacknowledged
+from telenano.console.emergency_stop import FarListener, LocalRig, Reach, emergency_stop
 from telenano.runtime.bus.absence import absence_text
 from telenano.runtime.bus.holders import Holder, Look, look
 from telenano.runtime.bus.local_endpoint import (
@@ -21,7 +23,6 @@ from telenano.runtime.bus.local_endpoint import (
     base_directory,
     folder_identity,
     is_rig_name,
-    kept_stop_path,
     path_of,
     rigs_with_folders,
 )
@@ -70,21 +71,38 @@ def read_arguments(arguments: Sequence[str]) -> EstopRequest | None:
 
 
 def run_estop(request: EstopRequest) -> int:
-    """Stop the devices of the request, print the answers, and return the exit code."""
+    """Stop the devices of the request, print what became of the stop at each, and return the exit code."""
     try:
         answers = _stop(request)
     except TelenanoError as error:
-        sys.stderr.write(f"telenano: {one_line(str(error))}\n")
-        if request.as_json:
-            _print(json.dumps({"error": str(error)}))
+        _fail(request, str(error), {})
         return EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError) else EXIT_FAILED
     except KeyboardInterrupt:
         sys.stderr.write("telenano: interrupted\n")
         return EXIT_FAILED
+    if all_acknowledged(answers):
+        if request.as_json:
+            _print(json.dumps(_document(request, answers)))
+        return 0
+    _fail(request, unacknowledged(answers) if answers else "no device was asked: the target means none", answers)
+    return EXIT_FAILED
+
+
+def _document(request: EstopRequest, answers: Mapping[str, Answer]) -> dict[str, Any]:
+    rows = {node: answer.row() for node, answer in sorted(answers.items())}
+    return {"command": "estop", "target": request.target, "answers": rows}
+
+
+def _fail(request: EstopRequest, text: str, answers: Mapping[str, Answer]) -> None:
+    """Print why a stop has not succeeded: a line for each device that has not answered, and in JSON all rows."""
+    silent = [answer for _, answer in sorted(answers.items()) if answer.kind not in ("ack", "refused")]
+    lines = [f"{answer.node} {answer.sentence}" for answer in silent] if silent else [text] if text else []
+    with contextlib.suppress(OSError):
+        for line in lines:
+            sys.stderr.write(f"telenano: {one_line(line)}\n")
     if request.as_json:
-        rows = {node: {"kind": answer.kind, "text": answer.text} for node, answer in sorted(answers.items())}
-        _print(json.dumps({"command": "estop", "target": request.target, "answers": rows}))
-    return EXIT_FAILED if any(answer.kind == "refused" for answer in answers.values()) else 0
+        refused = "; ".join(f"{a.node} refused: {a.text}" for a in answers.values() if a.kind == "refused")
+        _print(json.dumps({**(_document(request, answers) if answers else {}), "error": text or refused}))
 
 
 def _print(line: str) -> None:
@@ -120,20 +138,16 @@ def _stop(request: EstopRequest) -> dict[str, Answer]:
     # All rigs are stopped at once: one that does not answer must not delay the stop of the others.
     names = [name for name in (FIRST_RIG, *others) if name in others or _runs(request, name, seen)]
     rigs |= {name: _reached(request, name, seen) for name in names}
-    answers: dict[str, Answer] = {}
-    faults: list[str] = []
+    # Each device that is asked has a row, also if its thread fails.
+    asked = [f"{name}/{device}" for name, (_, reach) in rigs.items() for device in reach.asked]
+    answers = {node: Answer(node, "unreached", "was not asked to the end") for node in asked}
 
     def stop(name: str) -> None:
-        def on_answer(answer: Answer) -> None:
-            named = answer._replace(node=f"{name}/{answer.node}")
-            answers[named.node] = named
-            _show(request, named)
+        def of_rig(answer: Answer) -> Answer:
+            return answer._replace(node=f"{name}/{answer.node}")
 
-        try:
-            rig, reach = rigs[name]
-            _stop_directly(rig, reach, request.target, on_answer)
-        except TelenanoError as error:
-            faults.append(f"rig {name}: {error}")
+        rows = _stop_directly(request, *rigs[name], lambda answer: _show(request, of_rig(answer)))
+        answers.update({of_rig(answer).node: of_rig(answer) for answer in rows.values()})
 
     threads = [threading.Thread(target=stop, args=(name,)) for name in rigs]
     for thread in threads:
@@ -141,8 +155,6 @@ def _stop(request: EstopRequest) -> dict[str, Answer]:
     for thread in threads:
         thread.join()
     _tell_which(sorted(rigs))
-    if faults:
-        raise RigError("; ".join(faults))
     return answers
 
 
@@ -180,7 +192,7 @@ def _show(request: EstopRequest, answer: Answer) -> None:
 def _runs(request: EstopRequest, name: str, seen: Look) -> bool:
     """Return whether devices of a rig can be stopped here, or will be started again by its launcher."""
     rig, reach = _reached(request, name, seen)
-    return bool(reach.direct or reach.by_link) or rig.is_supervised()
+    return reach.is_sent or rig.is_supervised()
 
 
 def _reached(request: EstopRequest, name: str, seen: Look) -> tuple[LocalRig, Reach]:
@@ -198,48 +210,67 @@ def _reached(request: EstopRequest, name: str, seen: Look) -> tuple[LocalRig, Re
 
 
 def _stop_rig(request: EstopRequest, name: str, seen: Look, show: Callable[[Answer], None]) -> dict[str, Answer]:
-    """Stop the devices of one rig by every available path, and return their answers by node."""
+    """Stop the devices of one rig by every available way, and return what became of the stop at each.
+
+    Raises:
+        RigError: Nothing of a rig runs here, and no device is to be reached from here.
+        ConfigError: The target means no node of the site file.
+    """
     os.environ[RIG_VARIABLE] = name
-    site_file = request.site_file or (TWO_SITES_FILE if request.site else DEFAULT_SITE_FILE)
     rig, reach = _reached(request, name, seen)
-    answers: dict[str, Answer] = {}
-
-    def on_answer(answer: Answer) -> None:
-        answers[answer.node] = answer
-        show(answer)
-
-    _stop_directly(rig, reach, request.target, on_answer)
+    answers = _stop_directly(request, rig, reach, show)
     if reach.by_console or not answers:
-        _stop_by_console(request, site_file, lambda answer: on_answer(answer) if answer.node not in answers else None)
+        answers |= _stop_by_console(request, reach.by_console or (request.target,), show)
+    if answers and all(answer.kind == "absent" for answer in answers.values()):
+        text = absence_text(rig.seen, map(path_of, rig.endpoints.values()), "telenano estop")
+        raise RigError(f"no device of the site file was found here: {text}")
     return answers
 
 
-def _stop_directly(rig: LocalRig, reach: Reach, target: str, on_answer: Callable[[Answer], None]) -> None:
-    """Stop the devices that are reached without a console; RigError if none of the targets is found."""
+def _stop_directly(
+    request: EstopRequest, rig: LocalRig, reach: Reach, on_answer: Callable[[Answer], None]
+) -> dict[str, Answer]:
+    """Stop the devices that are reached without a console, and return what became of the stop at each."""
     for text in rig.strangers():
         sys.stderr.write(f"telenano: {text}\n")
-    missing = (*reach.absent, *reach.unknown)
-    if reach.direct or reach.by_link:
-        emergency_stop(rig, reach, target, on_answer, os.environ.get("TELENANO_NAME", ""))
-    elif missing and not reach.by_console:
-        if kept := keep_stop(rig, reach, target, os.urandom(12).hex()):
-            raise RigError(f"{', '.join(kept)} is not running: the stop is kept, and it will start in emergency stop")
-        text = absence_text(rig.seen, map(path_of, rig.endpoints.values()), "telenano estop")
-        raise RigError(f"no device of the site file was found here: {text}")
-    for device in reach.absent:
-        is_kept = kept_stop_path(rig.endpoints[device]).exists()
-        consequence = ": the stop is kept, and it will start in emergency stop" if is_kept else ""
-        sys.stderr.write(f"telenano: {device} is not running{consequence}\n")
-    for device in reach.unknown:
-        sys.stderr.write(f"telenano: whether {device} runs is not known here: {rig.seen.blind}\n")
+
+    def listen() -> AbstractContextManager[FarListener]:
+        # Imported here, because it loads keys and models, which takes longer.
+        from telenano.console.far_answers import listening
+
+        return listening(request.site_file or TWO_SITES_FILE)
+
+    answers = emergency_stop(rig, reach, request.target, on_answer, os.environ.get("TELENANO_NAME", ""), listen)
+    if all_acknowledged(answers):
+        return answers
+    # Imported here, because it loads what reads recordings: nothing is looked up before the stop was sent.
+    from telenano.console.last_seen import with_last_seen
+
+    return with_last_seen(rig, answers)
 
 
-def _stop_by_console(request: EstopRequest, site_file: Path, on_answer: Callable[[Answer], None]) -> None:
-    """Send the command like any other: over a network, to nodes of an older version, to nodes without a device."""
+def _stop_by_console(
+    request: EstopRequest, targets: Sequence[str], show: Callable[[Answer], None]
+) -> dict[str, Answer]:
+    """Send the stop like any other command: over a network, to nodes of an older version, to nodes without a device."""
     # Imported here, because it loads models and keys, which takes longer.
     from telenano.console.send_commands import send_control
     from telenano.runtime.loop.commands import Command
+    from telenano.wire.messages import SessionEvent
 
     site: Literal["master", "slave"] = "slave" if request.site == "slave" else "master"
-    command = Command("estop", request.target)
-    send_control(command, site_file, site, lambda event: on_answer(Answer(event.src, event.kind, event.text)))
+    site_file = request.site_file or (TWO_SITES_FILE if request.site else DEFAULT_SITE_FILE)
+    answers: dict[str, Answer] = {}
+
+    def on_answer(event: SessionEvent) -> None:
+        answers[event.src] = Answer(event.src, event.kind, event.text)
+        show(answers[event.src])
+
+    for target in targets:
+        try:
+            send_control(Command("estop", target), site_file, site, on_answer)
+        except TelenanoError as error:
+            if target not in DEVICES:
+                raise
+            answers.setdefault(target, Answer(target, "unreached", f"takes no stop from here: {error}"))
+    return answers

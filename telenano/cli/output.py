@@ -61,7 +61,7 @@ def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[N
         code = (
             EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError | NoRecordingError | ExistsError) else EXIT_FAILED
         )
-        fail(*error.lines, code=interrupts.exit_code() or code, as_json=as_json)
+        fail(*error.lines, code=interrupts.exit_code() or code, as_json=as_json, **error.facts)
     except BrokenPipeError:
         raise  # the reader of the pipe had enough; `telenano.cli.app` exits with code 0
     except OSError as error:

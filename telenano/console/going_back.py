@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from telenano.console.send_commands import arm_devices, send_controls
+from telenano.console.send_commands import arm_steps, send_controls
 from telenano.runtime.loop.arming import ARM_TIP, return_to
 from telenano.runtime.loop.commands import Command
 from telenano.wire.errors import RigError
@@ -67,7 +67,9 @@ def go_back(
         ConfigError, EndpointError, RefusedError: As in `send_controls`.
     """
     issued_ns = time.monotonic_ns() if issued_ns is None else issued_ns
-    armed = arm_devices(site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by).get(TIP)
+    # At the instrument's site the tip alone is asked: the hand was armed at its own, or the tip follows nothing.
+    steps = arm_steps(site_file, site, {})
+    armed = send_controls(steps, site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by).get(TIP)
     if armed is None:
         raise RigError(f"the tip does not go back: {TIP} is not reached from the {site}'s site")
     if (way := _way_from(armed, place_m, speed_m_per_s)) is None:

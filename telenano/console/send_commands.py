@@ -7,15 +7,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import zmq
 
+from telenano.console.answers import Answer, UnansweredError
+from telenano.console.emergency_stop import LocalRig
 from telenano.console.lease import FREE_COMMANDS, MOST_LETTERS
 from telenano.console.lease_register import NAME_VARIABLE, Hold, acting
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.loop.arming import ARM
-from telenano.runtime.loop.commands import Command, CommandClient
+from telenano.runtime.loop.commands import Command, CommandClient, CommandName
 from telenano.runtime.wiring.observer import RIG_HINT, require_rig
 from telenano.runtime.wiring.participant import Participant
 from telenano.wire.errors import ConfigError, EndpointError, RigError
@@ -61,14 +64,23 @@ def _scalar(pair: str, text: str) -> Scalar:
     return text
 
 
+# The nodes that obey a command if a pattern means them, by name; each of them that the site file has must answer.
+OBEYED_BY: Mapping[CommandName, tuple[str, ...]] = {
+    "start": ("haptic_node",),
+    "stop": ("haptic_node",),
+    "arm": ("haptic_node", "afm_node"),
+    "estop": ("haptic_node", "afm_node"),
+    "set": ("controller", "delay_node"),
+    "mark": ("recorder",),
+}
+
+
 def addressed(book: AddressBook, target: str, site: Site = "master") -> list[str]:
     """Return the nodes of the site file that a target includes; raise ConfigError, with a list of nodes, if none.
 
     Commands cross the link only forward, so a console at the slave's site reaches only the nodes there.
     """
-    # The link's second endpoint belongs to the same process, which answers under the name of the first.
-    silent = (f"{LINK}@slave", PAGE)
-    nodes = [n for n in book.nodes if not (is_console(n) or is_estop(n) or name_of(n) == "launcher" or n in silent)]
+    nodes = _commanded(book)
     within = [n for n in nodes if site == "master" or site_of(n) == site]
     meant = [n for n in within if is_meant(n, target)]
     if not meant:
@@ -76,6 +88,40 @@ def addressed(book: AddressBook, target: str, site: Site = "master") -> list[str
         hint = f"; {', '.join(beyond)} is commanded from the master's site" if beyond else ""
         raise ConfigError(f"no node is meant by target {target!r}: there are {', '.join(sorted(within))}{hint}")
     return meant
+
+
+def _commanded(book: AddressBook) -> list[str]:
+    """Return the nodes of the site file that take commands."""
+    # The link's second endpoint belongs to the same process, which answers under the name of the first.
+    silent = (f"{LINK}@slave", PAGE)
+    return [n for n in book.nodes if not (is_console(n) or is_estop(n) or name_of(n) == "launcher" or n in silent)]
+
+
+class Asked(NamedTuple):
+    """The nodes that a command asks: those that a console at its site reaches, and those beyond."""
+
+    near: tuple[str, ...]
+    far: tuple[str, ...] = ()
+
+
+def asked(book: AddressBook, command: Command, site: Site = "master") -> Asked:
+    """Return the nodes that have to answer a command, which follow from the site file and the target alone.
+
+    Raises:
+        ConfigError: The target means no node that this site reaches, or none of those obeys the command by a pattern.
+    """
+    meant = addressed(book, command.target, site)
+    beyond = [n for n in _commanded(book) if is_meant(n, command.target) and n not in meant]
+    if not is_pattern(command.target):
+        return Asked(tuple(meant), tuple(beyond))
+    names = OBEYED_BY[command.name]
+    near, far = (tuple(n for n in nodes if name_of(n) in names) for nodes in (meant, beyond))
+    if not near:
+        raise ConfigError(
+            f"no node that {command.target!r} means obeys {command.name} without its name: {', '.join(names)} does, and"
+            f" there are {', '.join(sorted(meant))}"
+        )
+    return Asked(near, far)
 
 
 def arm_devices(
@@ -93,7 +139,9 @@ def arm_devices(
     Both stay where they are, unless `parameters` for the tip name a place; the function then waits for its arrival.
     """
     steps = arm_steps(site_file, site, parameters or {})
-    return send_controls(steps, site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by)
+    reached = {node for step in steps for node in step.expected}
+    far = tuple(node for step in ARM for node in step.expected if node not in reached)
+    return send_controls(steps, site_file, site, on_answer, is_wanted, issued_ns=issued_ns, by=by, far=far)
 
 
 def arm_steps(site_file: Path, site: Site, parameters: Mapping[str, Scalar]) -> list[Command]:
@@ -120,9 +168,18 @@ def send_control(
         ConfigError: The target includes no node, or this site has no console.
         RigError, EndpointError, RefusedError: As in `send_controls`.
     """
-    meant = addressed(AddressBook.load(site_file), command.target, site)
-    wanted = replace(command, expected=() if is_pattern(command.target) else tuple(meant))
-    return send_controls([wanted], site_file, site, on_answer, is_wanted, issued_ns=issued_ns, retry_ns=retry_ns, by=by)
+    near, far = asked(AddressBook.load(site_file), command, site)
+    return send_controls(
+        [replace(command, expected=near)],
+        site_file,
+        site,
+        on_answer,
+        is_wanted,
+        issued_ns=issued_ns,
+        retry_ns=retry_ns,
+        by=by,
+        far=far,
+    )
 
 
 def send_controls(
@@ -135,6 +192,7 @@ def send_controls(
     issued_ns: int | None = None,
     retry_ns: int = 0,
     by: str | None = None,
+    far: Sequence[str] = (),
 ) -> dict[str, SessionEvent]:
     """Send commands to a running rig, each after the previous one has succeeded.
 
@@ -142,7 +200,7 @@ def send_controls(
     move something need control; if it is free, this process holds it while they run.
 
     Args:
-        commands: The commands, each with the nodes that must answer; none for a pattern.
+        commands: The commands, each with the nodes that must answer.
         site_file: The site file of the rig.
         site: The site at which the command is given.
         on_answer: Called with each answer, and with the report that the tip is placed.
@@ -150,13 +208,15 @@ def send_controls(
         issued_ns: Time at which a person gave the command, by the monotonic clock of this machine [ns]; None for now.
         retry_ns: Time for which a refused command is repeated [ns].
         by: Name of the person, for a page whose lease was checked already; None makes this process acquire control.
+        far: Further nodes that are asked, and which this site does not reach.
 
     Returns:
-        The answers by node, refusals included.
+        The answers by node, refusals included; all who were asked have answered.
 
     Raises:
-        RigError: Nodes do not answer, there is no rig, the tip was not placed, the command is no longer wanted, or an
-            emergency stop made it void; the message says which of several commands were carried out.
+        UnansweredError: Not all who were asked have answered, or the tip was not placed; it has a row for each of them,
+            and the message says which of several commands were carried out.
+        RigError: There is no rig, the command is no longer wanted, or an emergency stop made it void.
         EndpointError: Another console is in use.
         RefusedError: Another party holds control.
     """
@@ -168,7 +228,7 @@ def send_controls(
     wanted = [replace(command, by=name) for command in commands]
     with lease as hold:
         still = is_wanted if hold is None else (lambda: is_wanted() and hold.is_held())
-        return _exchange(wanted, site_file, site, on_answer, still, issued_ns, retry_ns)
+        return _exchange(wanted, site_file, site, on_answer, still, issued_ns, retry_ns, far)
 
 
 def _exchange(
@@ -179,6 +239,7 @@ def _exchange(
     is_wanted: Callable[[], bool],
     issued_ns: int,
     retry_ns: int,
+    far: Sequence[str],
 ) -> dict[str, SessionEvent]:
     """Bind the console, send commands until all are answered, and return the answers; raise as `send_controls`."""
     book = AddressBook.load(site_file)
@@ -209,15 +270,52 @@ def _exchange(
         text = f"{names} was given up before all had answered: a node may have carried it out"
         raise RigError(f"{text}{_half_done(answers, client)}")
     in_force = _in_force(commands, client, readers)
+    text = client.failure if len(commands) > 1 or not client.refusals or not client.has_all_answers else ""
     if not attention.last_s:
-        raise RigError(f"{client.failure}; no node reports: {RIG_HINT}{in_force}")
-    if not client.answers and not commands[-1].expected:
-        meant = addressed(book, commands[-1].target, site)
-        why = attention.why(meant, time.monotonic())
-        raise RigError(f"{client.failure}: {why}{in_force if attention.is_doubtful(meant) else ''}")
-    if client.failure and (len(commands) > 1 or not client.refusals or not client.has_all_answers):
-        raise RigError(f"{client.failure}{in_force}{_half_done(answers, client)}")
+        text = f"{client.failure}; no node reports: {RIG_HINT}"
+    if text or far:
+        # Imported here, because it loads what reads recordings, which takes longer.
+        from telenano.console.last_seen import with_last_seen
+
+        whereabouts = _Whereabouts(LocalRig.read(site_file), attention, commands, client)
+        rows = with_last_seen(whereabouts.rig, whereabouts.rows(answers, far))
+        details = [f"{answer.node} {answer.sentence}" for answer in rows.values() if answer.kind not in _ANSWERED]
+        text = "; ".join([*([f"{text}{in_force}{_half_done(answers, client)}"] if text else []), *details])
+        raise UnansweredError(text, rows)
     return answers
+
+
+# The kinds of rows of nodes that have answered.
+_ANSWERED = ("ack", "refused")
+
+
+class _Whereabouts(NamedTuple):
+    """What is known of nodes that have not answered: the rig here, what was heard of it, and the commands."""
+
+    rig: LocalRig
+    attention: "Attention"
+    commands: Sequence[Command]
+    client: CommandClient
+
+    def rows(self, answers: Mapping[str, SessionEvent], far: Sequence[str]) -> dict[str, Answer]:
+        """Return a row for each node that was asked."""
+        unsent = {node for command in self.client.unsent for node in command.expected}
+        near = dict.fromkeys(node for command in self.commands for node in command.expected)
+        rows = {}
+        for node in near:
+            event = answers.get(node)
+            if event is not None and event.kind in _ANSWERED and node not in self.client.ended:
+                rows[node] = Answer(node, event.kind, event.text)
+            elif node in unsent:
+                rows[node] = Answer(node, "unreached", "was not sent the command, because an earlier one failed")
+            elif self.rig.state_of(node) == "absent":
+                rows[node] = Answer(node, "absent", "is not running")
+            else:
+                rows[node] = Answer(
+                    node, "unreached", f"has not answered: {self.attention.why(node, time.monotonic())}"
+                )
+        beyond = "belongs to the other site, to which commands do not cross from here"
+        return rows | {node: Answer(node, "unreached", beyond) for node in far}
 
 
 @contextmanager
@@ -250,7 +348,7 @@ def _half_done(answers: Mapping[str, SessionEvent], client: CommandClient) -> st
 
 
 class Attention:
-    """Diagnosis of missing answers: records whether nodes are silent, late, or do not know a command.
+    """Diagnosis of missing answers: records whether nodes are silent or late.
 
     `last_s` has the time at which each node was last heard [s].
     """
@@ -274,24 +372,16 @@ class Attention:
         self._note_silence(message.src, now_s)
         self.last_s[message.src] = now_s
 
-    def why(self, meant: Sequence[str], now_s: float) -> str:
-        """Return the reason why none of the `meant` nodes answered: silence, a late rig, or an unknown command."""
-        for node in self.last_s:
-            self._note_silence(node, now_s)
-        silent = sorted(set(meant) - set(self.last_s))
-        reasons = [f"nothing was heard of {', '.join(silent)}"] if silent else []
-        node, late_s = max(self._late_s.items(), key=lambda row: row[1], default=("", 0.0))
+    def why(self, node: str, now_s: float) -> str:
+        """Return why a node may not have answered: it is silent, or the rig is late; else that it runs."""
+        if node not in self.last_s:
+            return "nothing was heard of it"
+        for known in self.last_s:
+            self._note_silence(known, now_s)
+        late, late_s = max(self._late_s.items(), key=lambda row: row[1], default=("", 0.0))
         if late_s > _LATE_S:
-            reasons.append(
-                f"the rig is late by {late_s:.2g} s ({node}), so that the command may not have been read yet"
-            )
-        else:
-            reasons.append(f"{', '.join(sorted(self.last_s))} do not know it")
-        return "; ".join(reasons)
-
-    def is_doubtful(self, meant: Sequence[str]) -> bool:
-        """Return whether a node may have read the command although no answer was received."""
-        return bool(set(meant) - set(self.last_s)) or max(self._late_s.values(), default=0.0) > _LATE_S
+            return f"the rig is late by {late_s:.2g} s ({late}), so that the command may not have been read yet"
+        return "it runs, and reports in time"
 
     def _note_silence(self, node: str, now_s: float) -> None:
         self._note_late(node, now_s - self.last_s.get(node, self._begun_s + _JOIN_S) - _HEALTH_S)

@@ -10,7 +10,8 @@ armature resistance R is not in the paper: the preset value is ours. It sets V_f
 and nothing else in the linear response.
 
 The operator's force does not appear here: "there is no power transmission from operator to the master arm". A push
-of 10 N at the arm is 0.28 mN m at the motor, a tenth of its friction.
+of 10 N at the arm is 0.28 mN m at the motor, a tenth of its friction. The motor's torque through the screw is up to
+1.8 kN; friction and the inertia of the rotor take all of it, and the arm gives the hand exactly what the hand presses.
 """
 
 import math
@@ -65,9 +66,9 @@ class MotorInputs(NamedTuple):
 
 
 class MotorOutputs(NamedTuple):
-    """Voltage and force of the drive at the end of the step, after its limits, and the limits that acted.
+    """Voltage of the drive at the end of the step, and its force, after its limits; the limits that acted.
 
-    force_n is the motor torque through the screw, K_t i / Kp: the ideal force at the arm, friction not yet taken off.
+    force_n is the motor's torque through the screw, K_t i / Kp, an ideal force at the arm of which nothing is left there.
     """
 
     voltage_v: float

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.extend.hands import MODE_OFF, DeviceReading, DriveCommand, SpatialCommand
+from telenano.extend.hands import MODE_OFF, MODE_POSITION, DeviceReading, DriveCommand, SpatialCommand
 from telenano.extend.operators import OperatorInputs
 from telenano.hand import motor, safety
 from telenano.hand.operator_models import operator_step
@@ -122,7 +122,8 @@ def motor_plant_step(
         velocity_m_per_s=motion.velocity_m_per_s,
         operator_force_n=felt.force_n,
         operator_force_limited=felt.limited,
-        motor_force_n=drive.force_n,
+        # The screw holds what the hand presses, whatever the motor's torque overcomes within it.
+        motor_force_n=0.0 - felt.force_n if command.mode == MODE_POSITION else 0.0,
         motor_voltage_v=drive.voltage_v,
         end_stop=drive.end_stop,
         voltage_limited=drive.voltage_limited,

@@ -28,10 +28,11 @@ TICK_S = 0.05
 _EVENTS_KEPT = 8
 # Delay before removed sockets are reported [ns]; each node checks its paths twice a second, so all have noticed then.
 _TOGETHER_NS = 700_000_000
-# Instructions for the operator when a lost device is back; {at} is the option for the site if there are two.
+# What stays as it is when a lost device is back. Both devices wait where two sites had lost each other, so the hint
+# arms both; to arm one that is armed changes nothing. {at} is the option for the site if there are two.
 _RECOVERY_HINTS = {
-    TIP: "a tip that has retracted stays retracted until `telenano session arm --target afm_node{at}`",
-    HAND: "a haptic device that was restarted stays off until `telenano session arm --target haptic_node{at}`, "
+    TIP: "a tip that has retracted stays retracted until `telenano session arm{at}`",
+    HAND: "a haptic device that was restarted stays off until `telenano session arm{at}`, "
     "its force profile until `telenano session start{at}`",
 }
 

@@ -10,7 +10,8 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from telenano.extend.laws import NO_SIGNAL, NO_TIP, HandSample, TipMeasurement
+from telenano.extend.laws import NO_SIGNAL, NO_TIP, HandSample, MasterReference, PortSignal, TipMeasurement
+from telenano.laws.hand_limits import HandLimits, free, let_through, received_within
 from telenano.lockstep.law_corners import failures
 from telenano.numerics.compiler import compiled_form, is_step
 from telenano.sections.controller_section import LAWS, ControllerConfig
@@ -61,6 +62,18 @@ _RETUNED_TICKS = 300
 _FORCE_STEP = 0.05
 # Greatest motion of the hand [m].
 _HAND_STEP_M = 1e-4
+# Way of the hand from its start to either end of its travel [m], and its greatest speed there [m/s].
+_TRAVEL_M = 2e-3
+_TRAVEL_M_PER_S = 0.03
+# Force with which a hand presses at the end of its travel, and with which it draws back [N].
+_PRESSED_N = 2.0
+# Time for which it does so [periods].
+_PRESSED_TICKS = 600
+# Greatest excess of a reference over the travel [m], up to the search for a force.
+_BEYOND_M = 1e-8
+# Way that the hand of a law makes back within _LET_GO_TICKS periods, as a share of that at its start.
+_LET_GO_SHARE = 0.5
+_LET_GO_TICKS = 100
 # Latency of an instrument behind a serial line or a network, with which a law is tried too [periods].
 LATE_PERIODS = 4
 
@@ -187,7 +200,7 @@ def _touched_badly(name: str, stiffness: float, lates: Sequence[int]) -> Iterato
 class _Bench:
     """Both halves of a law over a link without delay, and a spring under the tip, or a wall that only pushes.
 
-    lates: delays [ticks] of the measurements for the slave half, which are used in turn.
+    lates: delays [ticks] of the measurements for the slave half, which are used in turn. limits: those of the hand.
     """
 
     def __init__(
@@ -197,7 +210,10 @@ class _Bench:
         wall_m: float | None = None,
         lates: Sequence[int] = (0,),
         period_s: float = _PERIOD_S,
+        limits: HandLimits | None = None,
     ) -> None:
+        self.limits, self.stop = limits, free()
+        self.reference, self.tip_reference_m = MasterReference(0.0, 0.0, 0.0, True), 0.0
         self.law, self.params, self.period_s = LAWS[name], _params(name, period_s), period_s
         self.stiffness_n_per_m, self.wall_m = stiffness_n_per_m, wall_m
         self.x, self.tip = 0.0, NO_TIP
@@ -205,6 +221,7 @@ class _Bench:
         self.master = self.law.master_start(self.params, HandSample(0.0, 0.0, 0.0, True))
         self.slave = self.law.slave_start(self.params, self.tip)
         self.shown_n: list[float] = []
+        self.reference_m: list[float] = []
 
     def retuned(self, **settings: float) -> "_Bench":
         """Return a bench that continues from here with other settings of the law at both halves."""
@@ -221,8 +238,9 @@ class _Bench:
         rows = []
         for _ in range(ticks):
             hand = HandSample(self.x, 0.0, force_n, not off)
-            self.master, signal = self.law.master_send(self.params, self.master, hand, self.period_s)
-            signal = signal._replace(silence_s=0.0)
+            sent = let_through(self.stop, hand)
+            self.master, signal = self.law.master_send(self.params, self.master, sent, self.period_s)
+            signal, self.tip_reference_m = signal._replace(silence_s=0.0), signal.position_m
             self.slave, wanted = self.law.slave_receive(self.params, self.slave, signal, self.tip, self.period_s)
             base = 0.0 if retracted else wanted.position_m
             pushed_n = self.stiffness_n_per_m * (base - (self.wall_m or 0.0))
@@ -234,12 +252,45 @@ class _Bench:
             measured = self.measured[-1 - next(self.lates)]
             self.tip = measured._replace(outstanding_m=base - measured.base_position_m)
             self.slave, answer = self.law.slave_send(self.params, self.slave, self.tip, self.period_s)
-            answer = answer._replace(silence_s=0.0)
-            self.master, reference = self.law.master_receive(self.params, self.master, hand, answer, self.period_s)
-            self.x = self.x if off else reference.position_m
+            reference = self._receive(hand, answer._replace(silence_s=0.0))
+            self.x = self.x if off else self._reached(reference.position_m)
             rows.append((self.x, newest.force_n))
             self.shown_n.append(reference.force_n)
+            self.reference_m.append(reference.position_m)
         return rows
+
+    def _reached(self, position_m: float) -> float:
+        """Return the place of a device whose guard keeps it within its travel [m]."""
+        return position_m if self.limits is None else min(max(position_m, self.limits.low_m), self.limits.high_m)
+
+    def _receive(self, hand: HandSample, answer: PortSignal) -> MasterReference:
+        law, params, state, dt = self.law, self.params, self.master, self.period_s
+        if self.limits is None:
+            self.master, self.reference = law.master_receive(params, state, hand, answer, dt)
+        else:
+            before, place = self.reference, self.tip_reference_m
+            self.master, self.reference, self.stop = received_within(
+                self.limits, law.master_receive, params, state, hand, answer, dt, before, place
+            )
+        return self.reference
+
+
+def _ends(name: str) -> Iterator[str]:
+    config = ControllerConfig.model_validate({"law": name, "period_s": _PERIOD_S})
+    limits = config.hand_params()._replace(low_m=-_TRAVEL_M, high_m=_TRAVEL_M, speed_m_per_s=_TRAVEL_M_PER_S)
+    first = _Bench(name, stiffness_n_per_m=0.0, limits=limits).run(_LET_GO_TICKS, _PRESSED_N)[-1][0]
+    for side in (1, -1):
+        bench = _Bench(name, stiffness_n_per_m=0.0, limits=limits)
+        end_m = bench.run(_PRESSED_TICKS, side * _PRESSED_N)[-1][0]
+        farthest_m = max(side * at_m for at_m in bench.reference_m)
+        if not farthest_m <= _TRAVEL_M + _BEYOND_M:
+            yield f"pressed at the end of a travel of {_TRAVEL_M:g} m, the hand's reference goes to {farthest_m:g} m"
+        back = side * end_m - side * bench.run(_LET_GO_TICKS, -side * _PRESSED_N)[-1][0]
+        if not back >= _LET_GO_SHARE * first:
+            yield (
+                f"drawn back from the end of its travel, the hand has made {1e3 * back:.3g} mm after {_LET_GO_TICKS}"
+                f" periods, and {1e3 * first:.3g} mm at its start: the law has wound up"
+            )
 
 
 def _retunes(name: str) -> Iterator[str]:
@@ -322,5 +373,6 @@ RULES = (
     ),
     Rule("changes a setting in a held contact without a step of force or hand", _retunes),
     Rule("a session after a new arming is as the first", _arms_again),
+    Rule("the ends of the hand's travel wind nothing up", _ends),
     Rule("gives numbers at the corners of every range", _finite),
 )

@@ -134,6 +134,7 @@ class Rig:
             master=controller.master_timing(),
             slave=controller.slave_timing(),
             period_s=controller.period_s,
+            hand=controller.hand_params(),
         )
         site = haptic.to_params(math.ceil(duration_s / controller.period_s), controller.period_s)
         start = haptic_at_start(site.plant, haptic.device.start_position_m)

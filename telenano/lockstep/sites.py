@@ -11,7 +11,15 @@ from telenano.afm import safety as afm_safety
 from telenano.afm.step import LONGEST_STEP_NS, AfmInputs, AfmOutputs, command_wait_ns
 from telenano.afm.step import step as instrument_step
 from telenano.extend.hands import MODE_OFF, MODE_POSITION
-from telenano.extend.laws import NO_SIGNAL, NO_TIP, HandSample, PortSignal, SlaveReference, TipMeasurement
+from telenano.extend.laws import (
+    NO_SIGNAL,
+    NO_TIP,
+    HandSample,
+    MasterReference,
+    PortSignal,
+    SlaveReference,
+    TipMeasurement,
+)
 from telenano.hand.part import place_of
 from telenano.hand.step import HapticInputs, HapticParams
 from telenano.hand.step import HapticStepState as HapticChainState
@@ -19,6 +27,7 @@ from telenano.hand.step import step as haptic_step
 from telenano.laws import integration
 from telenano.laws.clamp import ClampParams, clamped
 from telenano.laws.deadband import DeadbandParams, DeadbandState, deadband, initial_deadband_state
+from telenano.laws.hand_limits import HandLimits, Trial, begun, cut, ends, free, let_through, tried, with_force
 from telenano.laws.integration import MasterTiming, NewestSignal, SlaveDecision, SlaveTiming, TimingParams
 from telenano.lockstep.across import AcrossPath, Array
 from telenano.lockstep.dispatch import master_receive, master_send, master_start, slave_receive, slave_send, slave_start
@@ -39,6 +48,7 @@ class Halves(NamedTuple):
     master: TimingParams
     slave: TimingParams
     period_s: float
+    hand: HandLimits
 
 
 @inlined
@@ -99,7 +109,8 @@ class Master(NamedTuple):
 
     signal: the newest one received; answered_ns: time of the sample that it answers plus the reported delays [ns];
     band: dead band of the signals that it sends; command: to the hand; rendered_n: force that the law attributes to the
-    environment [N].
+    environment [N]; reference, tip_reference_m: newest references of hand and tip; stop: the force that the
+    limits of the hand let through in the newest step.
     """
 
     timing: MasterTiming
@@ -110,6 +121,9 @@ class Master(NamedTuple):
     band: DeadbandState
     command: HandCommand
     rendered_n: float
+    reference: MasterReference
+    tip_reference_m: float
+    stop: Trial
 
 
 class Slave(NamedTuple):
@@ -190,7 +204,14 @@ def _master_settled(halves: Halves, m: Master, now_ns: int) -> Master:
         return m
     round_trip_s = integration.round_trip_periods(m.timing, halves.master) * halves.period_s
     signal = _latest(m.signal, m.timing.heard, now_ns, round_trip_s)
-    law, reference = master_receive(halves.law, m.law, m.hand, signal, m.timing.due * halves.period_s)
+    dt, before_m = m.timing.due * halves.period_s, m.reference.position_m if m.reference.active else m.hand.position_m
+    law, reference = master_receive(halves.law, m.law, m.hand, signal, dt)
+    within = ends(halves.hand, m.hand, before_m, m.tip_reference_m, signal)
+    trial = begun(halves.hand, within, reference, m.hand)
+    while not trial.done:
+        law, reference = master_receive(halves.law, m.law, with_force(m.hand, trial.next_n), signal, dt)
+        trial = tried(halves.hand, within, trial, reference)
+    reference = cut(halves.hand, trial, reference, before_m)
     mode = MODE_POSITION if reference.active else MODE_OFF
     return Master(
         timing=integration.master_settled(m.timing),
@@ -201,6 +222,9 @@ def _master_settled(halves: Halves, m: Master, now_ns: int) -> Master:
         band=m.band,
         command=HandCommand(mode, reference.position_m, now_ns, m.answered_ns),
         rendered_n=reference.force_n,
+        reference=reference,
+        tip_reference_m=m.tip_reference_m,
+        stop=trial,
     )
 
 
@@ -211,7 +235,7 @@ def master_with_sample(halves: Halves, m: Master, hand: HandSample, now_ns: int)
     timing, step = integration.master_sampled(m.timing, halves.master, now_ns, False, False)
     law = master_start(halves.law, hand) if step.begins else m.law
     dt = step.periods * halves.period_s
-    law, signal = master_send(halves.law, law, hand, dt)
+    law, signal = master_send(halves.law, law, let_through(m.stop, hand), dt)
     band, sent = deadband(halves.band, m.band, signal, dt)
     after = Master(
         timing=timing,
@@ -222,6 +246,9 @@ def master_with_sample(halves: Halves, m: Master, hand: HandSample, now_ns: int)
         band=band,
         command=m.command,
         rendered_n=m.rendered_n,
+        reference=m.reference,
+        tip_reference_m=signal.position_m,
+        stop=m.stop,
     )
     return after, signal, sent
 
@@ -243,6 +270,9 @@ def master_with_answer(
         band=m.band,
         command=m.command,
         rendered_n=m.rendered_n,
+        reference=m.reference,
+        tip_reference_m=m.tip_reference_m,
+        stop=m.stop,
     )
     return _master_settled(halves, heard, now_ns)
 
@@ -431,6 +461,9 @@ def master_at(halves: Halves, haptic: HapticParams, haptic_state: HapticChainSta
         band=initial_deadband_state(NO_SIGNAL),
         command=HandCommand(MODE_OFF, 0.0, -1, -1),
         rendered_n=0.0,
+        reference=MasterReference(0.0, 0.0, 0.0, False),
+        tip_reference_m=0.0,
+        stop=free(),
     )
 
 

@@ -1,11 +1,16 @@
-"""Offset of another clock over a whole recording, as straight lines; each lasts as long as it fits the bounds."""
+"""Offset of another clock over a whole recording: runs between which it was set, each of straight lines.
+
+A process counts its time on from the clock that it read at its start, so a clock is set only where a site begins again.
+An exchange whose bounds no drift reconciles with those before it proves this, and begins another run.
+"""
 
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from operator import itemgetter
 from typing import NamedTuple
 
-from telenano.timing.clock_fit import Bound, Bounds, ClockLine, are_apart
+from telenano.timing.clock_fit import MOST_DRIFT, Bound, Bounds, ClockLine, are_apart
 
 _BLOCK_NS = 1_000_000_000
 # No line is longer, because temperature and time services change the rate of a clock slowly.
@@ -14,6 +19,8 @@ _LONGEST_NS = 600 * _BLOCK_NS
 _SET_NS = 2_000_000.0
 # Accuracy to which the search finds the time at which the clock was set [ns].
 _SOUGHT_NS = 200_000_000
+# Bounds that are further apart than this, besides the greatest drift, are of two runs [ns].
+_PROVEN_NS = 2_000_000.0
 
 
 class Stretch(NamedTuple):
@@ -22,6 +29,19 @@ class Stretch(NamedTuple):
     first_ns: int
     last_ns: int
     line: ClockLine
+
+
+class Run(NamedTuple):
+    """Course of the offset between two settings of the clock.
+
+    first_ns and last_ns: first and last measurement, by this clock [ns]; knots: times by this clock [ns] and the lead
+    of the other clock there [ns], linear in between; error_ns: bound of its error [ns].
+    """
+
+    first_ns: int
+    last_ns: int
+    knots: tuple[tuple[int, float], ...]
+    error_ns: float
 
 
 # Reads the bounds of an interval of the recording, given by this clock [ns]; None if there are none.
@@ -43,15 +63,92 @@ def _least_of_seconds(bounds: Iterable[Bound]) -> list[Bound]:
     return list(least.values())
 
 
-def stretches(pieces: Sequence[Bounds]) -> list[Stretch]:
+def split(bounds: Bounds) -> list[Bounds]:
+    """Return the bounds of an interval in parts, between which the clock was set; no part is empty on either side."""
+    rows = sorted([(at_ns, value, True) for at_ns, value in bounds.upper] + [(*low, False) for low in bounds.lower])
+    parts: list[Bounds] = []
+    upper: list[Bound] = []
+    lower: list[Bound] = []
+    low_ns, high_ns, before_ns = -math.inf, math.inf, rows[0][0] if rows else 0
+    for at_ns, value, is_upper in rows:
+        apart_ns = MOST_DRIFT * (at_ns - before_ns)
+        low_ns, high_ns, before_ns = low_ns - apart_ns, high_ns + apart_ns, at_ns
+        if value < low_ns - _PROVEN_NS if is_upper else value > high_ns + _PROVEN_NS:
+            parts.append(Bounds(upper, lower))
+            upper, lower, low_ns, high_ns = [], [], -math.inf, math.inf
+        if is_upper:
+            upper.append((at_ns, value))
+            high_ns = min(high_ns, value)
+        else:
+            lower.append((at_ns, value))
+            low_ns = max(low_ns, value)
+    return [part for part in (*parts, Bounds(upper, lower)) if part.upper and part.lower]
+
+
+def runs(pieces: Sequence[Bounds], read: Read) -> list[Run]:
+    """Return the runs of the clock, in order of time.
+
+    Args:
+        pieces: Bounds in order of time, none empty, none with a proven step within it (`split`).
+        read: Reads the bounds of an interval of the recording, to find when the clock was set between two pieces.
+    """
+    found: list[list[Stretch]] = []
+    chains = list(_chains(pieces))
+    # A clock that is set runs on at its rate, which the longest part shows best.
+    drift = mean_drift([_run(stretches(max(chains, key=_length_ns)))]) if len(chains) > 1 else 0.0
+    for chain in chains:
+        for stretch in stretches(chain, drift):
+            if found and not _is_set(found[-1][-1], stretch):
+                found[-1].append(stretch)
+                continue
+            if found:
+                before, behind = _sought(found[-1][-1], stretch, read)
+                found[-1][-1], stretch = before[0], behind[-1]
+                found += [[one] for one in (*before[1:], *behind[:-1])]
+            found.append([stretch])
+    return [_run(parts) for parts in found]
+
+
+def _chains(pieces: Sequence[Bounds]) -> Iterator[list[Bounds]]:
+    """Yield the pieces between proven steps."""
+    chain: list[Bounds] = []
+    for piece in pieces:
+        if chain and len(split(_joined([chain[-1], piece]))) > 1:
+            yield chain
+            chain = []
+        chain.append(piece)
+    yield chain
+
+
+def _length_ns(chain: Sequence[Bounds]) -> int:
+    return chain[-1].upper[-1][0] - chain[0].upper[0][0]
+
+
+def _is_set(part: Stretch, after: Stretch) -> bool:
+    between_ns = (part.last_ns + after.first_ns) // 2
+    return abs(part.line.at(between_ns) - after.line.at(between_ns)) > _SET_NS
+
+
+def _run(parts: Sequence[Stretch]) -> Run:
+    knots = [(parts[0].first_ns, parts[0].line.at(parts[0].first_ns))]
+    for part, after in itertools.pairwise(parts):
+        between_ns = (part.last_ns + after.first_ns) // 2
+        knots.append((between_ns, 0.5 * (part.line.at(between_ns) + after.line.at(between_ns))))
+    last_ns = max(parts[-1].last_ns, knots[-1][0] + 1)
+    knots.append((last_ns, parts[-1].line.at(last_ns)))
+    error_ns = max(0.0, *(0.5 * part.line.round_trip_ns for part in parts))
+    return Run(parts[0].first_ns, parts[-1].last_ns, tuple(knots), error_ns)
+
+
+def stretches(pieces: Sequence[Bounds], drift: float = 0.0) -> list[Stretch]:
     """Fit lines to pieces of bounds, which are in order of time and not empty; each line is as long as it fits.
 
     The newest one, two, four ... pieces are compared with those before them: a few reveal a clock that was set by a
-    large step, more are needed to reveal a small one.
+    large step, more are needed to reveal a small one. `drift` is the rate that holds unless they show another one
+    [s/s].
     """
     found_stretches: list[Stretch] = []
     run: list[Bounds] = []
-    drift = 0.0
     for piece in pieces:
         if len(pieces) > 1 and ClockLine.through(*piece, drift).round_trip_ns < 0.0:
             # The clock was set within it.
@@ -92,39 +189,10 @@ def _line_of(run: Sequence[Bounds], drift: float) -> ClockLine:
     return ClockLine.through(*_joined(run), drift)
 
 
-def knots(parts: Sequence[Stretch], read: Read) -> list[tuple[int, float]]:
-    """Return the knots of the piecewise linear offset: times of the other clock [ns] and its lead there [ns].
-
-    A step has a knot on either side, at the same time if the clock was set back over times that it already had.
-
-    Args:
-        parts: The lines, in order of time.
-        read: Reads the bounds of an interval of the recording, to find when the clock was set between two lines.
-    """
-    runs = [[(parts[0].first_ns, parts[0].line.at(parts[0].first_ns))]]
-    for part, after in itertools.pairwise(parts):
-        between_ns = (part.last_ns + after.first_ns) // 2
-        if abs(part.line.at(between_ns) - after.line.at(between_ns)) <= _SET_NS:
-            runs[-1].append((between_ns, 0.5 * (part.line.at(between_ns) + after.line.at(between_ns))))
-            continue
-        last_ns, first_ns = _sought(part, after, read)
-        runs[-1].append((last_ns, part.line.at(last_ns)))
-        runs.append([(first_ns, after.line.at(first_ns))])
-    runs[-1].append((max(parts[-1].last_ns, runs[-1][-1][0] + 1), parts[-1].line.at(parts[-1].last_ns)))
-    # If the clock was set back far, the stamps of the later run lie before those of the earlier run.
-    stamped = sorted([(at_ns + round(ahead_ns), ahead_ns) for at_ns, ahead_ns in run] for run in runs)
-    for before, behind in itertools.pairwise(stamped):
-        if behind[0][0] < before[-1][0]:
-            # The clock was set back by more than the site was silent, so some stamps occur twice: split them in half.
-            middle_ns = (behind[0][0] + before[-1][0]) // 2
-            before[-1], behind[0] = (middle_ns, before[-1][1]), (middle_ns, behind[0][1])
-    return [knot for run in stamped for knot in run]
-
-
-def mean_drift(parts: Sequence[Stretch]) -> float:
-    """Return the mean drift of the lines, weighted with their durations [s/s]."""
-    lengths = [max(1, part.last_ns - part.first_ns) for part in parts]
-    return sum(length * part.line.drift for length, part in zip(lengths, parts, strict=True)) / sum(lengths)
+def mean_drift(found: Sequence[Run]) -> float:
+    """Return the mean drift of the runs, weighted with their durations [s/s]."""
+    lengths = [max(1, run.last_ns - run.first_ns) for run in found]
+    return sum(run.knots[-1][1] - run.knots[0][1] for run in found) / sum(lengths)
 
 
 def _stretch(run: Sequence[Bounds], drift: float) -> Stretch:
@@ -133,29 +201,55 @@ def _stretch(run: Sequence[Bounds], drift: float) -> Stretch:
     return Stretch(min(times), max(times), _line_of(run, drift))
 
 
-def _sought(part: Stretch, after: Stretch, read: Read) -> tuple[int, int]:
-    """Find by bisection the end of the first line and the start of the second, by this clock [ns].
+def _sought(part: Stretch, after: Stretch, read: Read) -> tuple[list[Stretch], list[Stretch]]:
+    """Find by bisection the end of the first line and the start of the second, and the runs between them.
 
     A bound may be dated outside of the interval in which it was recorded, because that is by the recorder's clock; it
     counts as one at the nearer end.
+
+    Returns:
+        The first line with its end and the runs behind it, and the runs before the second line and that with its start.
     """
-    begin_ns, end_ns = last_ns, first_ns = part.last_ns, after.first_ns
+    begin_ns, end_ns = part.last_ns, after.first_ns
     while end_ns - begin_ns > 2 * _SOUGHT_NS:
         middle_ns = (begin_ns + end_ns) // 2
         piece = read(middle_ns, middle_ns + _SOUGHT_NS) or read(middle_ns, end_ns)
-        if piece is None:
+        # An interval in which the clock was set belongs to neither side; its first part decides.
+        first = split(piece)[:1] if piece is not None else []
+        if not first:
             end_ns = middle_ns
             continue
-        at_ns, high_ns = min(piece.upper)
-        is_first = abs(high_ns - _high(part.line, at_ns)) < abs(high_ns - _high(after.line, at_ns))
-        at_ns = min(max(at_ns, middle_ns), end_ns)
+        found = first[0]
+        at_ns = min(max(min(found.upper)[0], middle_ns), end_ns)
+        is_first, is_after = _is_of(part, found), _is_of(after, found)
+        if is_first and is_after:
+            at, high_ns = min(found.upper)
+            is_first = abs(high_ns - _high(part.line, at)) < abs(high_ns - _high(after.line, at))
+            is_after = not is_first
         if is_first:
-            begin_ns = last_ns = at_ns
-        else:
+            begin_ns = at_ns
+            part = part._replace(last_ns=at_ns)
+        elif is_after:
+            after = after._replace(first_ns=at_ns)
             # Only the bounds that count are kept, so others may lie between the middle and this one.
-            first_ns = at_ns
             end_ns = at_ns if at_ns < end_ns else middle_ns
-    return last_ns, first_ns
+        else:
+            own = _stretch([found], 0.0)
+            before, inside = _sought(part, own, read)
+            behind, ends = _sought(inside[-1], after, read)
+            return before, [*inside[:-1], *behind, *ends]
+    return [part], [after]
+
+
+def _is_of(part: Stretch, bounds: Bounds) -> bool:
+    """Return whether a line lies between bounds; beyond its ends its rate may err."""
+
+    def most_ns(at_ns: int) -> float:
+        return _PROVEN_NS + MOST_DRIFT * max(part.first_ns - at_ns, at_ns - part.last_ns, 0)
+
+    return all(value > part.line.at(at_ns) - most_ns(at_ns) for at_ns, value in bounds.upper) and all(
+        value < part.line.at(at_ns) + most_ns(at_ns) for at_ns, value in bounds.lower
+    )
 
 
 def _high(line: ClockLine, at_ns: int) -> float:

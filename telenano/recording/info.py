@@ -7,6 +7,7 @@ from typing import Literal
 from mcap.records import Attachment
 from pydantic import BaseModel, ConfigDict
 
+from telenano.recording.answered_commands import ANSWER_TOPIC, COMMAND_TOPIC, AnsweredCommands
 from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.recording.record_topics import GAP_TOPIC, RECORD_TOPICS
 from telenano.wire.ends import END_TOPIC, read_end
@@ -94,7 +95,8 @@ class RecordingInfo(_Info):
     sentences on oddities that are no loss, such as messages whose times are far from all others. `recorder_lag`: None
     if unknown. `basis`: `messages` if every message was read, `summary` if only the index of a closed file was, which
     does not reveal damaged messages (`telenano.recording.summary_section`). `path` is the first of `parts`; these are
-    empty for a single file.
+    empty for a single file. `commands`: number of answered commands; `commands_by_answer`: of these, those whose own
+    message did not reach the recorder, so that the recording has them in an answer that repeats them.
     """
 
     path: str
@@ -107,6 +109,8 @@ class RecordingInfo(_Info):
     basis: Literal["messages", "summary"] = "messages"
     missing: tuple[str, ...]
     lost: int
+    commands: int = 0
+    commands_by_answer: int = 0
     closed: bool
     recorder_lag: LagInfo | None
     skipped_bytes: int
@@ -118,6 +122,13 @@ class RecordingInfo(_Info):
     metadata: dict[str, dict[str, str]]
 
 
+def finish_recorded(tracker: SequenceTracker, sent: int, run: int | None, *, ended: bool) -> int:
+    """Do `tracker.finish` for numbers that a recording has modulo 2^32; return the number of missing messages."""
+    beyond = (sent - 1 - tracker.last_seq) & _SEQUENCE_MASK
+    missing = 0 if beyond > _SEQUENCE_MASK // 2 else beyond
+    return tracker.finish(tracker.last_seq + 1 + missing, run, ended=ended)
+
+
 class ChannelStatistics:
     """Running statistics of one channel."""
 
@@ -127,23 +138,25 @@ class ChannelStatistics:
         self.last_ns = first.log_ns
         self.messages = 0
         self.size_bytes = 0
-        # Messages that are missing between the last recorded one and the publisher's end.
-        self.missing_at_end = 0
-        self._tracker = SequenceTracker()
+        # Messages that the link had passed on and that are missing: at its end, or while nothing was recorded.
+        self._missing_behind_link = 0
+        self._tracker = SequenceTracker(counts_heads=True)
 
-    def add(self, message: RecordedMessage) -> None:
+    def add(self, message: RecordedMessage, *, after_pause: bool = False) -> None:
+        """Add a message; `after_pause`: it is the first one after a time in which nothing was recorded."""
         self.messages += 1
         self.size_bytes += len(message.payload)
         self.last_ns = message.log_ns
-        self._tracker.accept(message.seq, message.publish_ns)
+        before = self._tracker.lost
+        self._tracker.accept(message.seq, message.publish_ns, message.run)
+        if after_pause:
+            # While nothing was recorded, what the link passed on is missing as well.
+            self._missing_behind_link += max(0, self._tracker.lost - before)
 
-    def finish(self, sent: int) -> None:
-        """Record that the publisher ended after `sent` messages, and count the missing ones at the end."""
+    def finish(self, sent: int, run: int | None = None, *, ended: bool = True) -> None:
+        """Count the messages up to `sent` that are missing at the end; `ended`: their publisher itself has ended."""
         if not self._tracker.ended:
-            # Both numbers are known only modulo 2^32.
-            beyond = (sent - 1 - self._tracker.last_seq) & _SEQUENCE_MASK
-            missing = 0 if beyond > _SEQUENCE_MASK // 2 else beyond
-            self.missing_at_end += self._tracker.finish(self._tracker.last_seq + 1 + missing)
+            self._missing_behind_link += finish_recorded(self._tracker, sent, run, ended=ended)
 
     def follows(self, first_missing: int) -> bool:
         """Return whether a sequence number is the next one after the newest message."""
@@ -152,7 +165,7 @@ class ChannelStatistics:
     @property
     def missing(self) -> int:
         """Number of messages that were sent to the recorder and are missing; drops of an impaired link do not count."""
-        return self._tracker.lost if self.channel.via == "direct" else self.missing_at_end
+        return self._tracker.lost if self.channel.via == "direct" else self._missing_behind_link
 
     def info(self) -> ChannelInfo:
         channel, tracker = self.channel, self._tracker
@@ -189,12 +202,14 @@ class RecordingStatistics:
         self.lost_between = False
         # Channels of earlier files without a message in the current file yet.
         self._awaited: set[RecordedChannel] = set()
+        self._after_pause = True
         # The last gap that the recorder recorded (first and last missing number), by channel and source.
         self._gaps: dict[tuple[str, str], tuple[int, int]] = {}
+        self.commands = AnsweredCommands()
 
-    def begin_file(self) -> None:
-        """Begin the next file of the recording."""
-        self.lost_between, self._awaited = False, set(self.channels)
+    def begin_file(self, *, after_pause: bool = True) -> None:
+        """Begin the next file of the recording; `after_pause`: nothing was recorded since the end of the last one."""
+        self.lost_between, self._awaited, self._after_pause = False, set(self.channels), after_pause
 
     def add(self, message: RecordedMessage) -> None:
         """Add a message."""
@@ -205,13 +220,15 @@ class RecordingStatistics:
         if self._awaited and channel in self._awaited:
             self._awaited.discard(channel)
             before = statistics.missing
-            statistics.add(message)
+            statistics.add(message, after_pause=self._after_pause)
             self.lost_between = self.lost_between or statistics.missing > before
         else:
             statistics.add(message)
         # A gap followed by a message is not at the end of the channel, even if the publisher restarts its numbers.
         if self._gaps and channel.src:
             self._gaps.pop((channel.channel_topic, channel.src), None)
+        if channel.topic in (COMMAND_TOPIC, ANSWER_TOPIC):
+            self.commands.add(channel.topic, _fields(message))
         if channel.topic == GAP_TOPIC:
             self._add_gap(message)
         elif channel.via == "direct" and channel.src and channel.topic not in RECORD_TOPICS:
@@ -245,7 +262,7 @@ class RecordingStatistics:
         rest = counts[_MOST_NAMED:]
         if rest:
             named.append(f"{total(count for count, _ in rest)} messages on {len(rest)} further channels are missing")
-        return tuple(named)
+        return (*named, *self.commands.missing())
 
     def lag(self) -> LagInfo | None:
         """Return the recorder's lag, None if unknown; replayed nodes are left out because their stamps are old."""
@@ -267,13 +284,14 @@ class RecordingStatistics:
             self._gaps[key] = (first & _SEQUENCE_MASK, last & _SEQUENCE_MASK)
 
     def _add_end(self, message: RecordedMessage) -> None:
-        sent = read_end(_fields(message)) or {}
+        sent, run = read_end(_fields(message)) or {}, message.run
         for channel, statistics in self.channels.items() if sent else ():
             # The counts hold for the publisher's own endpoint; other channels were received through other endpoints.
             if channel.site == message.site and (channel.via == "direct") == (channel.src == message.src):
                 count = sent.get((channel.topic, channel.src))
                 if count is not None:
-                    statistics.finish(count)
+                    own = channel.src == message.src
+                    statistics.finish(count, run if own else None, ended=own)
 
 
 class _Lags:

@@ -142,6 +142,12 @@ class RecordedMessage(NamedTuple):
         """Key that distinguishes a message from all others of its recording."""
         return self.channel.channel_topic, self.channel.src, self.seq, self.publish_ns
 
+    @property
+    def run(self) -> int | None:
+        """The process of the publisher that numbered the message; None if it does not say."""
+        found: int | None = _codec().run_in(self.payload)
+        return found
+
     def decode(self) -> "Record":
         """Return the validated message: a proto Message, or the recorder's own GapRecord or RejectedRecord.
 

@@ -8,7 +8,7 @@ from functools import cached_property
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, NamedTuple, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
@@ -56,12 +56,6 @@ from telenano.recording.recorded_fields import RecordedFields
 from telenano.wire.errors import NoRecordingError, RecordingError
 from telenano.wire.nodes import site_of
 
-if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
-    from telenano.recording.indexed_chunks import ChunkMessages
-
 END_OF_TIME = 2**64
 # A file that ended for this reason is followed by the next one without a pause.
 _PLANNED_END = "split"
@@ -102,8 +96,6 @@ class Recording(RecordedFields):
             raise RecordingError(f"{self.path}: {what if start else 'is empty'}")
         with self._open() as data:
             self._layout = scan(data, str(self.path))
-        # Offsets of the chunks whose message indexes were verified to be complete.
-        self._indexed: set[int] = set()
 
     @property
     def closed(self) -> bool:
@@ -313,29 +305,7 @@ class Recording(RecordedFields):
                     if report is not None:
                         report(Damage(block.offset, block.data_end - block.offset, str(error)))
                     continue
-                indexed = self._by_index(data, block, content, channels, whole=report is not None)
-                if indexed is None:
-                    yield from _walked(block, content, channels, message_type, report, first_ns, after_ns)
-                else:
-                    yield from _listed(block, content, indexed, channels, message_type, report, first_ns, after_ns)
-
-    def _by_index(
-        self, data: mmap.mmap, block: Block, content: bytes, channels: "_ChannelTable[Any]", *, whole: bool
-    ) -> "ChunkMessages | None":
-        """Return the messages of a chunk from the indexes behind it; None if these do not agree with its content.
-
-        A chunk that was verified before and has no definitions is read for the selected channels only, unless `whole`.
-        """
-        if not block.whole or block.data_start == block.offset:
-            return None
-        # Imported here because it needs NumPy, which a summary from the index does not.
-        from telenano.recording.indexed_chunks import messages_in
-
-        is_known = block.offset in self._indexed and not whole
-        found = messages_in(data, block.data_end, content, channels.selected if is_known else None)
-        if found is not None and not found.definitions:
-            self._indexed.add(block.offset)
-        return found
+                yield from _walked(block, content, channels, message_type, report, first_ns, after_ns)
 
 
 def _walked(
@@ -365,36 +335,6 @@ def _walked(
     if block.whole and end != len(content) and report is not None:
         rest = len(content) - end
         report(Damage(block.offset, rest, f"the block ends with {rest} bytes that are no records"))
-
-
-def _listed(
-    block: Block,
-    content: bytes,
-    indexed: "ChunkMessages",
-    channels: "_ChannelTable[_ChannelT]",
-    message_type: type[_MessageT],
-    report: DamageCallback | None,
-    first_ns: int,
-    after_ns: int,
-) -> Iterator[_MessageT]:
-    """Yield the messages of one block as `Recording._walk` does, from its index; definitions apply in their order."""
-    first = 0
-    for before, opcode, start, end in (*indexed.definitions, (len(indexed.heads), 0, 0, 0)):
-        heads = indexed.heads[first:before]
-        numbers = heads["channel"].tolist()
-        if report is not None and not channels.known.keys() >= set(numbers):
-            for number, length in zip(numbers, heads["length"].tolist(), strict=True):
-                if number not in channels.known:
-                    report(_unknown_channel(block, length, number))
-        inside = channels.is_selected(heads["channel"]) & (heads["log_ns"] >= first_ns) & (heads["log_ns"] < after_ns)
-        bodies = (each[first:before][inside].tolist() for each in (indexed.starts, indexed.ends))
-        columns = (heads[name][inside].tolist() for name in ("channel", "log_ns", "publish_ns", "seq"))
-        selected = channels.selected
-        for number, log_ns, publish_ns, seq, begin, after in zip(*columns, *bodies, strict=True):
-            yield _new(message_type, (selected[number], log_ns, publish_ns, seq, content[begin:after]))
-        if opcode:
-            channels.read(opcode, content[start:end])
-        first = before
 
 
 def _unknown_channel(block: Block, size_bytes: int, number: int) -> Damage:
@@ -435,7 +375,7 @@ def info_of(recordings: Sequence[Recording], see: SeeMessage | None = None) -> R
     parts: list[PartInfo] = []
     missing: list[str] = []
     for number, recording in enumerate(recordings):
-        statistics.begin_file()
+        statistics.begin_file(after_pause=not number or recordings[number - 1].ending != _PLANNED_END)
         part, counted = _count(recording, statistics, parts[-1] if parts else None, see)
         damage += counted
         # If no sequence number is missing, nothing was sent in the pause.
@@ -462,6 +402,8 @@ def info_of(recordings: Sequence[Recording], see: SeeMessage | None = None) -> R
         complete=not missing,
         missing=tuple(missing),
         lost=statistics.lost,
+        commands=statistics.commands.answered,
+        commands_by_answer=statistics.commands.by_answer_alone,
         closed=all(part.closed for part in parts),
         recorder_lag=statistics.lag(),
         skipped_bytes=sum(part.size_bytes for part in damage),
@@ -531,14 +473,6 @@ class _ChannelTable(Generic[_ChannelT]):
         for number, found in layout.summary_channels.items():
             if number not in self.known:
                 self._add(number, convert(found, self._schemas))
-
-    def is_selected(self, numbers: "npt.NDArray[np.uint16]") -> "npt.NDArray[np.bool_]":
-        """Return a mask of the channel numbers that are selected, shape (n,)."""
-        import numpy as np
-
-        table = np.zeros(1 << 16, dtype=np.bool_)
-        table[list(self.selected)] = True
-        return table[numbers]
 
     def read(self, opcode: int, body: bytes) -> None:
         """Read a schema or channel record; an unreadable one is ignored, so its messages have an unknown channel.

@@ -60,7 +60,7 @@ class SenderClock:
     def time_ns(self, message: RecordedMessage) -> int:
         """Return the send time of a message by the recorder's clock [ns]."""
         shift = self.shift_ns(message)
-        return message.publish_ns + (self.of_slave(message.publish_ns) if shift is None else shift)
+        return message.publish_ns + (self.of_slave(message.publish_ns, message.log_ns) if shift is None else shift)
 
     def shift_ns(self, message: RecordedMessage) -> int | None:
         """Return the constant shift of a message's source [ns]; None if `of_slave` gives the shift of each stamp."""
@@ -72,7 +72,7 @@ class SenderClock:
     def _shift_ns(self, message: RecordedMessage) -> int | None:
         is_shifted = self.of_slave.is_needed and is_of_slave(message.src)
         lag_ns = message.log_ns - message.publish_ns
-        shown_ns = lag_ns - (self.of_slave(message.publish_ns) if is_shifted else 0)
+        shown_ns = lag_ns - (self.of_slave(message.publish_ns, message.log_ns) if is_shifted else 0)
         if not -_LEAST_HORIZON_NS <= shown_ns <= _LONGEST_LAG_NS:
             return lag_ns
         return None if is_shifted else 0
@@ -178,7 +178,7 @@ class SenderOrder:
         for message in islice(self._source, count):
             channel, log_ns, publish_ns, _, _ = message
             _, shift_ns, wanted, is_plain = entries.get(id(channel)) or self._look_at(message)
-            time_ns = publish_ns + (self._clock.of_slave(publish_ns) if shift_ns is None else shift_ns)
+            time_ns = publish_ns + (self._clock.of_slave(publish_ns, log_ns) if shift_ns is None else shift_ns)
             self._place += 1
             if log_ns > self._read_ns:
                 self._read_ns = log_ns

@@ -52,7 +52,7 @@ def merge_sites(sources: Sequence[Path], target: Path, *, same_session: bool = F
 
     def wanted(recording: Recording, site: str) -> Iterator[RawMessage]:
         others = of_slave if site == "master" else of_master
-        shift_of = ClockShift(None if site == "master" else clock)
+        shift_of = ClockShift(None if site == "master" else clock.of_part(*recording.span_ns))
         taken: dict[int, tuple[RawChannel, bool]] = {}
         for message in recording.raw(skipped.append):
             row = taken.get(id(message.channel))
@@ -63,7 +63,7 @@ def merge_sites(sources: Sequence[Path], target: Path, *, same_session: bool = F
                     channel not in others or _nearer(channel) == site,
                 )
             if row[1]:
-                shift_ns = shift_of(message.log_ns)
+                shift_ns = shift_of(message.log_ns, message.log_ns)
                 yield message if not shift_ns else message._replace(log_ns=max(0, message.log_ns + shift_ns))
 
     with CopyWriter(target) as writer:
@@ -71,8 +71,8 @@ def merge_sites(sources: Sequence[Path], target: Path, *, same_session: bool = F
         writer.add_metadata(
             END_NAME, {"state": recordings[sites.count("master") - 1].ending, "note": _lacks(recordings, sites)}
         )
-        ahead_ns = round(clock.offset_s * 1e9) if clock.applied else 0
-        writer.add_metadata("merged", {"slave_clock_ahead_ns": str(ahead_ns), "reason": clock.reason})
+        ahead_ns = "" if clock.offset_s is None else str(round(clock.offset_s * 1e9) if clock.applied else 0)
+        writer.add_metadata("merged", {"slave_clock_ahead_ns": ahead_ns, "reason": clock.reason})
         streams = [wanted(recording, site) for recording, site in zip(recordings, sites, strict=True)]
         for message in heapq.merge(*streams, key=lambda message: message.log_ns):
             writer.add(message)

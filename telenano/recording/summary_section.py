@@ -21,6 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Statistics
 
 from telenano.files.regular_files import open_regular
+from telenano.recording.answered_commands import ANSWER_TOPIC, COMMAND_TOPIC, AnsweredCommands
 from telenano.recording.info import ChannelInfo, RecordingInfo, attachments_of, notes_of
 from telenano.recording.mcap_scan import (
     MAGIC,
@@ -124,6 +125,10 @@ class _Summary:
         ]
         # More sentences are summarised by `RecordingStatistics.missing`, in the reading of all messages.
         _demand(len(missing) <= 5)
+        commands = AnsweredCommands()
+        for message in self.select(lambda channel: channel.topic in (COMMAND_TOPIC, ANSWER_TOPIC)):
+            commands.add(message.channel.topic, message.fields())
+        missing += commands.missing()
         missing += notes_of([layout.metadata])
         start_ns, end_ns = self._span()
         return RecordingInfo(
@@ -136,6 +141,8 @@ class _Summary:
             complete=not missing,
             missing=tuple(missing),
             lost=total(count for count, _ in lost),
+            commands=commands.answered,
+            commands_by_answer=commands.by_answer_alone,
             closed=True,
             basis="summary",
             recorder_lag=None,
@@ -245,15 +252,20 @@ class _Summary:
         counts = [0, *accumulate(self._index(chunk, number)[1] // _ENTRY.size for chunk in chunks)]
         _demand(counts[-1] == count)
 
-        left = dict(gaps)
+        left = list(gaps)
+
+        def take(first: int) -> int:
+            """Return the length of the next gap, and remove it, if it begins with a number; else 0."""
+            return left.pop(0)[1] if left and left[0][0] == first else 0
 
         def step(before: _Stamp, after: _Stamp) -> int:
             # The last messages of the process that ended may also be missing.
-            missing = left.pop(before.seq + 1, 0)
+            missing = take(before.seq + 1)
             if after.seq > before.seq:
                 _demand(_grown(before, after) == 2 + missing)
                 return 0
-            _demand(after.publish_ns > before.publish_ns)
+            # And so may the first of the next one.
+            _demand(after.publish_ns > before.publish_ns and take(0) == after.seq)
             return 1
 
         def sought(first: int, last: int, begin: _Stamp, end: _Stamp) -> int:
@@ -266,7 +278,7 @@ class _Summary:
             return sought(first, middle, begin, before) + step(before, after) + sought(middle + 1, last, after, end)
 
         restarts = sought(0, len(chunks) - 1, begin, end)
-        left.pop(end.seq + 1, None)
+        take(end.seq + 1)
         _demand(not left)
         return restarts
 

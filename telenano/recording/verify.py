@@ -8,7 +8,8 @@ from typing import Any, Literal
 
 from pydantic import BaseModel
 
-from telenano.recording.info import notes_of
+from telenano.recording.answered_commands import ANSWER_TOPIC, COMMAND_TOPIC, AnsweredCommands
+from telenano.recording.info import finish_recorded, notes_of
 from telenano.recording.mcap_scan import Damage, describe_damage
 from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.recording.multi_file import MultiFileRecording
@@ -17,11 +18,12 @@ from telenano.recording.record_topics import GAP_TOPIC, RECORD_TOPICS
 from telenano.recording.session_identity import one_session
 from telenano.settings.known_packages import KNOWN_PACKAGES
 from telenano.settings.package_topics import row_of
-from telenano.wire.codec import keys_twice, sound_header
+from telenano.wire.codec import fields_of, keys_twice, sound_header
 from telenano.wire.ends import END_TOPIC, read_end
 from telenano.wire.errors import RecordingError
 from telenano.wire.extras import how_to_add_package
 from telenano.wire.messages import Message
+from telenano.wire.sequence import Arrival, SequenceTracker
 from telenano.wire.topics import NAME
 
 Check = Literal["crc", "order", "gap", "schema", "end", "index", "odd"]
@@ -64,51 +66,61 @@ def verify(paths: Sequence[Path], *, same_session: bool = False) -> Verdict:
     findings: list[Finding] = []
     total = 0
     between: list[Finding] = []
-    # Newest seq, and the file with it, of each channel whose publisher has not ended.
-    newest: dict[RecordedChannel, tuple[int, Recording]] = {}
+    trackers: dict[RecordedChannel, SequenceTracker] = {}
+    # The last file with a message of each channel.
+    newest: dict[RecordedChannel, Recording] = {}
+    commands = AnsweredCommands()
     for recording in recordings:
-        check = _Check(recording, {channel: seq for channel, (seq, _) in newest.items()})
+        check = _Check(recording, trackers, commands)
         findings += check.run()
         total += check.messages
         between += _between(recording, check, newest)
-        for channel in check.ended:
-            newest.pop(channel, None)
-        newest |= {channel: (seq, recording) for channel, seq in check.last()}
+        newest |= dict.fromkeys(check.begun(), recording)
     findings += between
+    file = str(recordings[0].path) if recordings else ""
+    findings += [
+        Finding(check="gap", level="warning", file=file, channel=COMMAND_TOPIC, text=text)
+        for text in commands.missing()
+    ]
     findings += _cut(recordings)
     return Verdict(sound=all(finding.level == "info" for finding in findings), messages=total, findings=tuple(findings))
 
 
 class _Stream:
-    """State of a channel: seq and publisher's time [ns] of the newest message, and the missing ranges.
+    """State of a channel in a file: its tracker, which the files share, and the missing ranges.
 
-    `missing` maps first and last missing seq to the time at which the gap was noticed [ns]. `topic` selects the fast
-    check of a payload; it is empty if each message needs the full check.
+    `begun`: whether the file has a message of it. `missing` has first and last missing seq, and the time at which each
+    gap was noticed [ns]. `topic` selects the fast check of a payload; it is empty if each message needs the full check.
     """
 
-    __slots__ = ("ended", "missing", "seq", "src", "t_ns", "topic")
+    __slots__ = ("begun", "missing", "src", "topic", "tracker")
 
-    def __init__(self, channel: RecordedChannel) -> None:
-        self.seq: int | None = None
-        self.t_ns = 0
-        # Whether the publisher announced its end, so that `seq` is its last number.
-        self.ended = False
-        self.missing: dict[tuple[int, int], int] = {}
+    def __init__(self, channel: RecordedChannel, tracker: SequenceTracker) -> None:
+        self.tracker = tracker
+        self.begun = False
+        self.missing: list[tuple[int, int, int]] = []
         self.src = channel.src
-        # End messages need the full check, because their counts are compared.
-        self.topic = "" if channel.topic == END_TOPIC else channel.topic
+        # End messages, commands and answers need the full check, because they are compared.
+        self.topic = "" if channel.topic in (END_TOPIC, COMMAND_TOPIC) else channel.topic
 
 
 class _Check:
     """The check of one file."""
 
-    def __init__(self, recording: Recording, before: Mapping[RecordedChannel, int]) -> None:
-        """Prepare the check of a file; `before` is the newest seq of each channel in the earlier files."""
-        # First seq of each channel in this file.
-        self.first: dict[RecordedChannel, int] = {}
-        # Channels whose publisher ended in this file.
-        self.ended: set[RecordedChannel] = set()
-        self._before = before
+    def __init__(
+        self, recording: Recording, trackers: dict[RecordedChannel, SequenceTracker], commands: AnsweredCommands
+    ) -> None:
+        """Prepare the check of a file.
+
+        Args:
+            recording: The file.
+            trackers: Those of the channels in the earlier files, which are continued.
+            commands: Takes the commands and answers of the file.
+        """
+        # Channel, first and last seq of what is missing between this file and the earlier ones.
+        self.between: list[tuple[RecordedChannel, int, int]] = []
+        self._trackers = trackers
+        self._commands = commands
         self._recording = recording
         self._findings: list[Finding] = []
         self._streams: dict[RecordedChannel, _Stream] = {}
@@ -132,18 +144,21 @@ class _Check:
             channel, log_ns, publish_ns, seq, payload = message
             decoder = kept.get(id(channel))
             if decoder is None:
-                decoder = kept[id(channel)] = self._streams.setdefault(channel, _Stream(channel)), channel
+                decoder = kept[id(channel)] = self._stream(channel), channel
             stream = decoder[0]
+            tracker = stream.tracker
             count += 1
             if (
                 log_ns >= last_ns
-                and seq - 1 == stream.seq
-                and not stream.ended
+                and seq - 1 == tracker.last_seq
+                and not tracker.ended
+                and stream.begun
                 and not self._open_gaps
                 and stream.topic
-                and sound_header(stream.topic, payload) == (seq, publish_ns, stream.src)
+                and sound_header(stream.topic, payload) == (seq, publish_ns, stream.src, tracker.run)
             ):
-                stream.seq, stream.t_ns, last_ns = seq, publish_ns, log_ns
+                tracker.accept(seq, publish_ns, tracker.run)
+                last_ns = log_ns
             else:
                 last_ns = self._check_message(message, stream, last_ns)
         self.messages = count
@@ -153,7 +168,7 @@ class _Check:
             self._report("odd", "warning", "", text)
         for channel, newest in self._streams.items():
             gap = self._open_gaps.get((channel.channel_topic, channel.src))
-            if gap is not None and newest.seq is not None and gap[0] == newest.seq + 1:
+            if gap is not None and gap[0] == newest.tracker.last_seq + 1:
                 self._end_channel(channel, gap[1] + 1, gap[2])
         self._report_gaps()
         self._report_unknown()
@@ -166,11 +181,16 @@ class _Check:
                 self._report("index", "error", "", f"{text}; other readers may fail on it")
         return self._findings
 
-    def last(self) -> Iterator[tuple[RecordedChannel, int]]:
-        """Yield the newest seq of each channel whose publisher did not end in this file."""
-        for channel, newest in self._streams.items():
-            if not newest.ended and newest.seq is not None:
-                yield channel, newest.seq
+    def begun(self) -> Iterator[RecordedChannel]:
+        """Yield the channels of which the file has a message."""
+        return (channel for channel, stream in self._streams.items() if stream.begun)
+
+    def _stream(self, channel: RecordedChannel) -> _Stream:
+        stream = self._streams.get(channel)
+        if stream is None:
+            tracker = self._trackers.setdefault(channel, SequenceTracker(counts_heads=True))
+            stream = self._streams[channel] = _Stream(channel, tracker)
+        return stream
 
     def _check_message(self, message: RecordedMessage, stream: _Stream, last_ns: int) -> int:
         """Check one message; `last_ns` is the latest reception time so far [ns]; return the new latest one."""
@@ -186,7 +206,9 @@ class _Check:
                 self._add_gap_record(record, log_ns)
         else:
             if row_of(topic) is not None:
-                self._check_schema(message)
+                decoded = self._check_schema(message)
+                if decoded is not None and topic in (COMMAND_TOPIC, ANSWER_TOPIC):
+                    self._commands.add(topic, fields_of(decoded))
             elif NAME.fullmatch(topic):
                 self._unknown[topic] += 1
             self._check_sequence(message, stream)
@@ -224,68 +246,58 @@ class _Check:
     def _check_end(self, message: RecordedMessage) -> None:
         """Compare the counts that a publisher announced at its end with the recorded messages."""
         try:
-            sent = read_end(message.fields()) or {}
+            sent, run = read_end(message.fields()) or {}, message.run
         except RecordingError:
             # The check of the schema has already reported the unreadable message.
             return
-        for channel in {**self._before, **self._streams}:
+        for channel in list(self._trackers):
             # The counts hold for the publisher's own endpoint; other channels were received through other endpoints.
-            own = channel.site == message.site and (channel.via == "direct") == (channel.src == message.src)
-            if own and (channel.topic, channel.src) in sent:
-                self._end_channel(channel, sent[channel.topic, channel.src], message.log_ns)
+            is_own = channel.src == message.src
+            if channel.site == message.site and (channel.via == "direct") == is_own:
+                count = sent.get((channel.topic, channel.src))
+                if count is not None:
+                    self._end_channel(channel, count, message.log_ns, run if is_own else None, ended=is_own)
 
-    def _end_channel(self, channel: RecordedChannel, sent: int, log_ns: int) -> None:
-        self.ended.add(channel)
-        newest = self._streams.get(channel)
-        if newest is None:
-            # All its messages are in earlier files.
-            newest = self._streams[channel] = _Stream(channel)
-            newest.seq = self._before[channel]
-        last = (sent - 1) & _SEQUENCE_MASK
-        if not newest.ended and newest.seq is not None and last > newest.seq:
-            newest.missing[newest.seq + 1, last] = log_ns
-            self._at_end.add((channel, newest.seq + 1, last))
-        newest.ended = True
+    def _end_channel(
+        self, channel: RecordedChannel, sent: int, log_ns: int, run: int | None = None, *, ended: bool = True
+    ) -> None:
+        stream = self._stream(channel)
+        if not stream.tracker.ended and finish_recorded(stream.tracker, sent, run, ended=ended):
+            first, last = stream.tracker.last_gap
+            stream.missing.append((first, last, log_ns))
+            self._at_end.add((channel, first, last))
 
     def _check_sequence(self, message: RecordedMessage, newest: _Stream) -> None:
         channel, seq = message.channel, message.seq
         # A gap followed by a message is not at the end of the channel.
         if self._open_gaps:
             self._open_gaps.pop((channel.channel_topic, channel.src), None)
-        if newest.seq is None:
-            self.first[channel] = newest.seq = seq
-            newest.t_ns = message.publish_ns
-        elif newest.ended and message.publish_ns > newest.t_ns:
-            # A new process: a seq above that of the previous process is no loss.
-            self._restart(newest, message)
-        elif seq > newest.seq:
-            if seq > newest.seq + 1:
-                newest.missing[newest.seq + 1, seq - 1] = message.log_ns
-            newest.seq, newest.t_ns = seq, message.publish_ns
-        elif message.publish_ns > newest.t_ns:
-            self._restart(newest, message)
-        else:
+        tracker, begun, newest.begun = newest.tracker, newest.begun, True
+        arrival = tracker.accept(seq, message.publish_ns, message.run)
+        if arrival is Arrival.RESTART:
+            self._report("gap", "info", message.channel_topic, f"{message.src} was restarted before seq {seq}")
+        if arrival is Arrival.AFTER_GAP or (arrival is Arrival.RESTART and tracker.lacks_head):
+            if begun:
+                newest.missing.append((*tracker.last_gap, message.log_ns))
+            else:
+                self.between.append((channel, *tracker.last_gap))
+        elif arrival is Arrival.LATE:
             self._remove_from_missing(newest.missing, seq)
 
-    def _restart(self, newest: _Stream, message: RecordedMessage) -> None:
-        newest.seq, newest.t_ns, newest.ended = message.seq, message.publish_ns, False
-        self._report("gap", "info", message.channel_topic, f"{message.src} was restarted before seq {message.seq}")
-
     @staticmethod
-    def _remove_from_missing(missing: dict[tuple[int, int], int], seq: int) -> None:
-        """Remove the seq of a message that was overtaken from the missing ranges."""
-        for (first, last), log_ns in list(missing.items()):
+    def _remove_from_missing(missing: list[tuple[int, int, int]], seq: int) -> None:
+        """Remove the seq of a message that was overtaken from the missing ranges, of which the last ones are newest."""
+        for place in reversed(range(len(missing))):
+            first, last, log_ns = missing[place]
             if first <= seq <= last:
-                del missing[first, last]
-                for part in ((first, seq - 1), (seq + 1, last)):
-                    if part[0] <= part[1]:
-                        missing[part] = log_ns
+                parts = ((first, seq - 1, log_ns), (seq + 1, last, log_ns))
+                missing[place : place + 1] = [part for part in parts if part[0] <= part[1]]
                 return
 
     def _report_gaps(self) -> None:
         origin_ns = self._recording.span_ns[0]
         for channel, stream in self._streams.items():
-            for (first, last), log_ns in stream.missing.items():
+            for first, last, log_ns in stream.missing:
                 recorded = (channel.channel_topic, channel.src, first, last) in self._recorded_gaps
                 how = "the recorder recorded the gap" if recorded else "there is no gap record"
                 at_end = (channel, first, last) in self._at_end
@@ -336,17 +348,13 @@ def _cut(recordings: Sequence[Recording]) -> Iterator[Finding]:
             yield Finding(check="end", level="warning", file=str(whole.path), channel="haptic/state", text=text)
 
 
-def _between(
-    later: Recording, check: _Check, newest: Mapping[RecordedChannel, tuple[int, Recording]]
-) -> Iterator[Finding]:
+def _between(later: Recording, check: _Check, newest: Mapping[RecordedChannel, Recording]) -> Iterator[Finding]:
     """Yield findings on messages missing between a file and the earlier ones, from their `seq`."""
-    for channel, first in check.first.items():
-        last, earlier = newest.get(channel, (None, later))
-        if channel.topic in RECORD_TOPICS or last is None or first <= last + 1:
-            continue
+    for channel, first, last in check.between:
+        earlier = newest[channel]
         pause_s = (later.span_ns[0] - earlier.span_ns[1]) * 1e-9
         text = (
-            f"seq {last + 1} to {first - 1} of {channel.src} ({first - last - 1}) missing "
+            f"seq {first} to {last} of {channel.src} ({last - first + 1}) missing "
             f"between {earlier.path.name} and this file, {pause_s:.6f} s apart"
         )
         yield Finding(check="gap", level="warning", file=str(later.path), channel=channel.channel_topic, text=text)

@@ -55,14 +55,15 @@ class RerunBus:
     def publish_as(self, src: str, topic: str, fields: Mapping[str, Any]) -> Message:
         """Compare a message of one of the node's endpoints; raise DifferenceError if it differs.
 
-        Its time of sending, `t_ns`, is copied from the recorded message, and so not compared.
+        Its time of sending, `t_ns`, and its process, `run`, are copied from the recorded message, and so not compared.
         """
         name = output_name(topic, src)
         seq = self.numbers.get(name, 0)
         self.numbers[name] = seq + 1
         recorded = None if topic in NOT_COMPARED else self._recorded.output(name, seq, self._clock.time_ns)
         t_ns = self._clock.time_ns if recorded is None else recorded.publish_ns
-        header = {"seq": seq, "t_ns": t_ns, "src": src, "v": version_of(topic)}
+        run = None if recorded is None else recorded.run
+        header = {"seq": seq, "t_ns": t_ns, "src": src, "v": version_of(topic), "run": run}
         message, payload = compose(topic, {**header, **fields})
         if recorded is not None:
             self._compare(message, payload, recorded)

@@ -6,13 +6,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import ConfigDict, Field, create_model, field_validator, model_validator
 
+from telenano.extend import pass_through
 from telenano.extend.laws import LONGEST_BRIDGED_PERIODS, Law, checked_law, longest_pause_periods
 from telenano.extend.virtual_impedance import VIRTUAL_IMPEDANCE, VirtualImpedanceConfig
 from telenano.laws.clamp import ClampParams
+from telenano.laws.hand_limits import HandLimits, hand_limits
 from telenano.laws.integration import TimingParams
 from telenano.laws.lateral import LateralParams
 from telenano.sections.clamp_section import ClampConfig
 from telenano.sections.deadband_section import DeadbandConfig
+from telenano.sections.hand_travel_section import HandTravelConfig
 from telenano.sections.lateral_section import LateralConfig
 from telenano.sections.own_laws import (
     PASSIVITY,
@@ -66,6 +69,11 @@ class _OwnSections(Settings):
         "instrument's driver",
     )
     deadband: DeadbandConfig = Field(default=DeadbandConfig(), description="Dead band in front of any law")
+    hand_limits: HandTravelConfig = Field(
+        default=HandTravelConfig(),
+        description="Travel and speed of the hand, beyond which no law leads it; a key that is not given follows from "
+        "haptic_node.limits",
+    )
     clamp: ClampConfig = Field(default=ClampConfig(), description="Force clamp of the slave, for any law")
     lateral: LateralConfig = Field(
         default=LateralConfig(), description="Motion of the tip across the sample by the hand"
@@ -111,6 +119,14 @@ class _OwnSections(Settings):
         section = self.law_config()
         scales = section.position_scale, section.force_scale
         return self.clamp.to_params(section.to_params(self.period_s), *scales, self.period_s)
+
+    def hand_params(self) -> HandLimits:
+        """Return the limits of the hand's reference, with the scale of a law that leads the tip by its place."""
+        hand, law = self.hand_limits, KNOWN_LAWS[self.law]
+        scale = 0.0 if law.uses_waves or law is TACTILE else self.law_config().position_scale
+        travel = hand.position_min_m, hand.position_max_m, hand.max_speed_m_per_s
+        passes = law.slave_receive is pass_through.slave_receive and not (self.clamp.enabled or self.deadband.enabled)
+        return hand_limits(*travel, self.period_s, scale, passes=passes)
 
     def lateral_params(self) -> LateralParams:
         """Return the constants of the lateral path."""

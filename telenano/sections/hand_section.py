@@ -12,6 +12,7 @@ from telenano.hand import sim, step
 from telenano.hand.disturbances import DisturbedHaptic, disturbed_plant_params
 from telenano.hand.motor import SUBSTEP_S, MotorParams
 from telenano.hand.safety import SafetyParams
+from telenano.sections.hand_travel_section import HandTravelConfig
 from telenano.sections.lateral_hand_section import LateralHandConfig
 from telenano.sections.operator_section import ArmConstants, ForceProfileConfig, ImpedanceConfig, OperatorConfig
 from telenano.settings.config import Settings, filled, validate
@@ -102,7 +103,7 @@ class DeviceConfig(Settings):
         return filled(MotorParams, self, servo_gain_v_per_m=SERVO_GAINS_V_PER_M[self.preset] if gain is None else gain)
 
 
-class LimitsConfig(Settings):
+class LimitsConfig(HandTravelConfig):
     """Limits of the guard in front of the driver."""
 
     command_deadline_s: float = Field(
@@ -112,25 +113,12 @@ class LimitsConfig(Settings):
         description="Greatest age of a command, and of the hand's sample that it answers, at which it is still "
         "followed [s]; beyond it the motor is off",
     )
-    position_min_m: float = Field(default=-0.0045, ge=-1.0, le=1.0, description="Lowest position reference [m]")
-    position_max_m: float = Field(default=0.0145, ge=-1.0, le=1.0, description="Highest position reference [m]")
-    max_speed_m_per_s: float = Field(
-        default=0.03, ge=1e-12, le=10.0, description="Fastest motion of the position reference [m/s]"
-    )
     max_force_n: float = Field(
         default=10.0,
         ge=1e-12,
         le=1e3,
         description="Largest force reference, for devices with a force mode [N]",
     )
-
-    @model_validator(mode="after")
-    def _ordered(self) -> "LimitsConfig":
-        if not self.position_min_m < self.position_max_m:
-            raise ValueError(
-                f"position_min_m = {self.position_min_m} m must be below position_max_m = {self.position_max_m} m"
-            )
-        return self
 
     def to_params(self, *, has_position_mode: bool, has_force_mode: bool) -> SafetyParams:
         return filled(SafetyParams, self, has_position_mode=has_position_mode, has_force_mode=has_force_mode)

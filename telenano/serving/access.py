@@ -125,9 +125,13 @@ class Access:
         name = host if host.endswith("]") or ":" not in host else host.rpartition(":")[0]
         return name in self.hosts
 
-    def admits_origin(self, origin: str, host: str) -> bool:
-        """Return whether the page that opens a web socket came from this server or from an allowed origin."""
-        return origin in (f"http://{host}", f"https://{host}", *self.origins)
+    def admits_origin(self, origin: str, host: str, *, encrypted: bool = False) -> bool:
+        """Return whether the page that opens a web socket came from this server or from an allowed origin.
+
+        `encrypted`: whether the connection is by https, to this server or to a proxy of this machine. A page of another
+        scheme is of another origin, although its host and port are the same.
+        """
+        return origin in (f"{'https' if encrypted else 'http'}://{host}", *self.origins)
 
 
 def is_loopback(host: str) -> bool:

@@ -82,7 +82,8 @@ class _Gate:
         if not self._access.admits_host(host):
             return f"{host!r} is not a name of this server: use one of {', '.join(self._access.hosts)}"
         origin = headers.get(b"origin", b"").decode("latin-1")
-        if scope["type"] == "websocket" and not self._access.admits_origin(origin, host):
+        encrypted = scope.get("scheme") in ("https", "wss")
+        if scope["type"] == "websocket" and not self._access.admits_origin(origin, host, encrypted=encrypted):
             others = ", or name its origin with --allow-origin" if self._access.origins else ""
             return f"a page from {origin!r} may not connect: open the address that was printed{others}"
         return ""
@@ -91,7 +92,8 @@ class _Gate:
 def guarded(app: Any, access: Access, connections: Connections) -> Any:
     """Return an application behind the gate, with account of its connections.
 
-    A proxy on this machine may give the origin of a request in `X-Forwarded-For`, as is usual for web servers.
+    A proxy on this machine may give the origin of a request in `X-Forwarded-For` and its scheme in `X-Forwarded-Proto`,
+    as is usual for web servers.
     """
     from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 

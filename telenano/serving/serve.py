@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 DEFAULT_PORT = 8650
 # Environment variable with the descriptor of a socket that the launcher bound for this process.
 SOCKET_VARIABLE = "TELENANO_VIEW_SOCKET"
+# Command that prints the addresses of a server whose terminal is a log, such as one in a container.
+COMMAND_VARIABLE = "TELENANO_ADDRESSES_COMMAND"
 _PACKAGES = ("starlette", "uvicorn", "websockets")
 # Largest frame of a web socket [bytes].
 LARGEST_FRAME = 1 << 16
@@ -142,7 +144,9 @@ def announced(addresses: Mapping[str, str], show: Callable[[str], None], what: s
     """
     base = re.split("[#?]", next(iter(addresses.values())))[0]
     file = runtime_directory() / f"{what}-{base.rstrip('/').rpartition(':')[2]}{_ADDRESSES}"
-    is_terminal = sys.stdout.isatty()
+    # The terminal of a container of Compose is its log, which anyone may read who may use the engine.
+    command = os.environ.get(COMMAND_VARIABLE)
+    is_terminal = sys.stdout.isatty() and not command
     fault = ""
     try:
         check_runtime_directory(make=True)
@@ -159,7 +163,8 @@ def announced(addresses: Mapping[str, str], show: Callable[[str], None], what: s
             show(f"{name}: {address}")
     else:
         show(f"{what}: {base}")
-        text = "the address needs a token, written to no pipe and no log: `telenano view --addresses` prints it"
+        command = command or "telenano view --addresses"
+        text = f"the address needs a token, written to no pipe and no log: `{command}` prints it"
         show(fault or f"{text}, and only you can read it in the file {file}")
     try:
         yield

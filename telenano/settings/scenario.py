@@ -86,8 +86,12 @@ class Scenario(Settings):
 
     @property
     def controller_in_force(self) -> dict[str, Any]:
-        """The section of both halves of the law, whose period is that of the loop."""
-        return {**self.controller, "period_s": self.controller.get("period_s", self.period_s)}
+        """The section of both halves of the law: its period is that of the loop, its hand that of the haptic node."""
+        guard, given = self.haptic_node.get("limits"), self.controller.get("hand_limits")
+        own = {key: guard[key] for key in _OF_HAND if key in guard} if isinstance(guard, Mapping) else {}
+        # A section that is no mapping is refused by its own model.
+        limits = {**own, **given} if isinstance(given, Mapping) else own if given is None else given
+        return {**self.controller, "period_s": self.controller.get("period_s", self.period_s), "hand_limits": limits}
 
     def realtime_in_force(self) -> RealtimeConfig:
         """Return the real-time settings that the nodes ask for, with the processors that `auto` means.
@@ -97,6 +101,10 @@ class Scenario(Settings):
         """
         busy = self.afm_node.get("model") == "dynamic" and self.realtime.cpus == "auto"
         return self.realtime.model_copy(update={"cpus": "link_at_master"}) if busy else self.realtime
+
+
+# The keys of `haptic_node.limits` that bound the references of a law too.
+_OF_HAND = ("position_min_m", "position_max_m", "max_speed_m_per_s")
 
 
 def _is_number(value: object) -> TypeGuard[float]:

@@ -16,6 +16,7 @@ from telenano.wire import TOPICS, Message, compose
 from telenano.wire.messages import MAX_ROWS, SUPERSEDED, InputHealth
 from telenano.wire.nodes import LINK, RECORDER, name_of
 from telenano.wire.received import Received
+from telenano.wire.sequence import run_at
 
 # greatest number of messages that a reader takes at once
 _BATCH = 256
@@ -38,6 +39,7 @@ class VirtualBus:
         self._clock = rig.clock_of(key)
         self.reader = HandedReader(self._clock, topics or TOPICS, newest_only=is_newest_only)
         self._rig = rig
+        self._run = run_at(self._clock.now_ns())
         self._numbers: dict[str, int] = {}
         # By topic, the version of its messages, and a function that draws the delay of sending one [ns].
         self._sending: dict[str, tuple[int, Callable[[], int]]] = {}
@@ -48,7 +50,9 @@ class VirtualBus:
         # A message is sent some time after the start of the turn, which a re-run does not know.
         drawn_ns = draw()
         t_ns = self._clock.now_ns() + drawn_ns
-        message, payload = compose(topic, {"seq": seq, "t_ns": t_ns, "src": self.key, "v": version, **fields})
+        message, payload = compose(
+            topic, {"seq": seq, "t_ns": t_ns, "src": self.key, "v": version, "run": self._run, **fields}
+        )
         self._numbers[topic] = seq + 1
         rig.carry(topic, message, payload, rig.clock.monotonic_ns() + drawn_ns)
         return message

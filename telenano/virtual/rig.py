@@ -42,7 +42,7 @@ from telenano.virtual.wiring import VirtualWiring, network_of
 from telenano.wire import Message
 from telenano.wire.codec import WireError, accept
 from telenano.wire.messages import DELAY_STEP_NS
-from telenano.wire.nodes import FAR_RECORDER, LAUNCHER, LINK, RECORDER, name_of, site_of
+from telenano.wire.nodes import FAR_RECORDER, HAND, LAUNCHER, LINK, RECORDER, is_estop, name_of, site_of
 from telenano.wire.topics import Topic
 
 # time of a message header minus the monotonic clock, which starts at one second [ns]
@@ -394,7 +394,10 @@ class Engine:
         src = message.src
         site = site_of(src)
         crosses = _row(topic).bridged in ("both", "forward" if site == "master" else "backward")
-        to_link = LINK_NODE in self.loops and name_of(src) != LINK and (crosses or topic == "clock/pong")
+        # A sender of emergency stops connects to inlets, and the link has one at its own site.
+        crosses = crosses and not (is_estop(src) and site == "slave")
+        is_for_link = topic == "clock/pong" or (topic, src) == ("session/event", HAND)
+        to_link = LINK_NODE in self.loops and name_of(src) != LINK and (crosses or is_for_link)
         is_heard = self._hears_recorders or src not in RECORDERS
         route = Route(tuple(self._readers(topic, message, site)) if is_heard else (), crosses, to_link and is_heard)
         self._routes[topic, src] = route

@@ -15,7 +15,7 @@ import msgpack
 import msgspec
 from msgspec import Raw
 
-from telenano.wire.messages import Message, Record, SessionControl
+from telenano.wire.messages import Message, Record, Run, SessionControl
 from telenano.wire.refusals import (
     REFUSALS,
     Beyond,
@@ -42,6 +42,10 @@ _MOST_SOURCES = 256
 _sources: set[str] = set()
 
 Reason = Literal["frames", "topic", "oversized", "malformed", "newer_version", "schema", "range", "source", "role"]
+
+
+# seq, t_ns, src and run of a message; run is None if it is absent.
+Header = tuple[int, int, str, int | None]
 
 
 class WireError(ValueError):
@@ -162,19 +166,25 @@ def decode_header(topic: str, payload: bytes) -> tuple[tuple[int, int, str], dic
 
 
 class _Header(msgspec.Struct, gc=False):
-    """Header that every message has; `v` is the version of its schema."""
+    """Header that every message has; `v` is the version of its schema, and `run` may be absent."""
 
     seq: Annotated[int, msgspec.Meta(ge=0, le=_COUNT_LIMIT - 1)]
     t_ns: Annotated[int, msgspec.Meta(ge=0, le=_COUNT_LIMIT - 1)]
     src: str
     v: Annotated[int, msgspec.Meta(ge=1)]
+    run: Run | None = None
 
 
 _decode_header_alone = msgspec.msgpack.Decoder(_Header).decode
 
 
 def read_header(topic: str, payload: bytes) -> tuple[int, int, str]:
-    """Return (seq, t_ns, src) of a message and skip its other fields.
+    """Return (seq, t_ns, src) of a message, as `read_whole_header` does."""
+    return read_whole_header(topic, payload)[:3]
+
+
+def read_whole_header(topic: str, payload: bytes) -> Header:
+    """Return (seq, t_ns, src, run) of a message and skip its other fields; `run` is None if it is absent.
 
     A recorder uses it, because it stores messages unchanged. The other fields, and the form of `src`, are checked when
     the message is decoded.
@@ -186,13 +196,28 @@ def read_header(topic: str, payload: bytes) -> tuple[int, int, str]:
         header = _decode_header_alone(payload)
         form = _FORMS[topic]
         if header.v <= form.version and len(payload) <= form.most_bytes:
-            return header.seq, header.t_ns, header.src
+            return header.seq, header.t_ns, header.src, header.run
     except (KeyError, *REFUSALS):
         # The slow path below names the fault.
         pass
     _, parts = _opened(topic, payload)
     record = _read_record(topic, _Header, parts, Reading("ignore"))
-    return record.seq, record.t_ns, record.src
+    return record.seq, record.t_ns, record.src, record.run
+
+
+class _Run(msgspec.Struct, gc=False):
+    run: Run | None = None
+
+
+_decode_run = msgspec.msgpack.Decoder(_Run).decode
+
+
+def run_in(payload: bytes) -> int | None:
+    """Return the `run` of a message, whatever else is in it; None if it has none that is valid."""
+    try:
+        return _decode_run(payload).run
+    except REFUSALS:
+        return None
 
 
 def fields_of(message: Record) -> dict[str, Any]:
@@ -204,8 +229,8 @@ def fields_of(message: Record) -> dict[str, Any]:
     return fields
 
 
-def sound_header(topic: str, payload: bytes) -> tuple[int, int, str] | None:
-    """Return (seq, t_ns, src) if the payload is valid and exactly the bytes that this codec writes; else None.
+def sound_header(topic: str, payload: bytes) -> Header | None:
+    """Return (seq, t_ns, src, run) if the payload is valid and exactly the bytes that this codec writes; else None.
 
     This excludes a repeated key, of which readers would use only the last value.
     """
@@ -213,7 +238,7 @@ def sound_header(topic: str, payload: bytes) -> tuple[int, int, str] | None:
         message = accept(topic, payload)
     except WireError:
         return None
-    return (message.seq, message.t_ns, message.src) if _encode(message) == payload else None
+    return (message.seq, message.t_ns, message.src, message.run) if _encode(message) == payload else None
 
 
 def keys_twice(payload: bytes) -> list[str]:

@@ -67,6 +67,11 @@ class TelenanoError(Exception):
         """The lines of the text as they are printed."""
         return tuple(map(str, self.args))
 
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What a program reads beside the text, as plain data by key."""
+        return {}
+
 
 def described(error: BaseException) -> str:
     """Return class and text of an error, made safe to print because foreign code may have written the text.

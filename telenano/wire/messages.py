@@ -65,6 +65,7 @@ def about(description: str | None = None, pattern: str | None = None, **rules: A
 
 Source = Annotated[str, about(pattern=SOURCE_PATTERN, max_length=64)]
 Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
+Run = Annotated[int, Meta(ge=0, le=2**32 - 1)]
 Stamp = Annotated[int, Meta(ge=-(2**63), le=2**63 - 1)]
 RawCount = Annotated[int, Meta(ge=-(2**31), le=2**31 - 1)]
 # A message without maps and lists has at most 4096 bytes (`telenano.wire.codec`), which also limits its texts.
@@ -108,6 +109,7 @@ class Message(Record):
     # `accept` checks the pattern once for each source: in each message that would take as long as all the rest.
     src: Annotated[str, about("Publisher, node@site", max_length=64, extra_json_schema={"pattern": SOURCE_PATTERN})]
     v: Annotated[int, about("Schema version of this message", ge=1)]
+    run: Annotated[Run | None, about("Process of src that numbers its messages; another one after each restart")] = None
 
 
 class _OfHand(Message):

@@ -74,8 +74,8 @@ class LinkNetwork(Message):
     queue_s: Annotated[
         DurationS | None,
         about(
-            "Longest standing queue in front of the line of this direction since the last report [s]; absent until it "
-            "is known"
+            "Longest standing queue in front of the line of this direction since the last report [s], stated 0.4 s "
+            "later, because a longer route looks alike at first; absent until it is known"
         ),
     ] = None
     capacity_bit_per_s: Annotated[

@@ -72,7 +72,8 @@ _ROWS = (
     Topic("link/network", network.LinkNetwork, ("delay_node", "controller"), "lossless", None, None, "backward"),
     Topic("clock/ping", m.ClockPing, ("delay_node@slave",), "latest", 10.0, 0.5, None),
     Topic("clock/pong", m.ClockPong, ("afm_node",), "latest", 10.0, 0.5, None),
-    Topic("session/control", m.SessionControl, _COMMANDERS, "lossless", None, None, "forward"),
+    # Commands cross to the slave. Of those of the slave's site only emergency stops cross to the master.
+    Topic("session/control", m.SessionControl, _COMMANDERS, "lossless", None, None, "both"),
     Topic("session/event", m.SessionEvent, ("*",), "lossless", None, None, "backward"),
     Topic("node/health", m.NodeHealth, ("*",), "latest", 2.0, 2.0, "backward"),
     Topic("recording/piece", network.RecordingPiece, ("launcher@slave",), "lossless", None, None, None, recorded=False),
@@ -204,6 +205,12 @@ def deadline_of(topic: str) -> float:
     if deadline_s is None:
         raise ValueError(f"{topic} has no deadline")
     return deadline_s
+
+
+def crosses_from(topic: str, site: str) -> Literal["forward", "backward"] | None:
+    """Return the direction in which the link carries a topic away from a site; None if it does not."""
+    away: Literal["forward", "backward"] = "forward" if site == "master" else "backward"
+    return away if TOPICS[topic].bridged in (away, "both") else None
 
 
 def output_name(topic: str, endpoint: str) -> str:

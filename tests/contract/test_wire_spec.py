@@ -76,11 +76,15 @@ def test_a_command_of_the_client_is_accepted() -> None:
     assert control.parameters == {"stiffness_n_per_m": 200.0}
 
 
-@given(st.lists(st.tuples(st.integers(0, 12), st.integers(0, 6)), max_size=60))
-def test_the_sequence_table_is_what_our_readers_do(messages: list[tuple[int, int]]) -> None:
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 12), st.integers(0, 6), st.sampled_from((None, None, None, 1, 1, 2, 3))), max_size=60
+    )
+)
+def test_the_sequence_table_is_what_our_readers_do(messages: list[tuple[int, int, int | None]]) -> None:
     account, tracker = spec_client.Account(), SequenceTracker()
-    for seq, t_ns in messages:
-        assert ROW_OF[tracker.accept(seq, t_ns)] == account.record(seq, t_ns)
+    for seq, t_ns, run in messages:
+        assert ROW_OF[tracker.accept(seq, t_ns, run)] == account.record(seq, t_ns, run)
         assert tracker.lost >= 0
     # a restart forgets what is missing, but not that it was lost
     assert tracker.lost == account.lost

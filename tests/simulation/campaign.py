@@ -39,6 +39,7 @@ OFTEN = 100
 INVARIANTS = (
     "nothing_late", "stop_is_last", "safe_in_time", "felt_hand", "recorded_as_sent", "law_not_blamed",
     "praised_was_held", "energy_granted", "delivered_was_sent", "counters_agree", "stop_kept", "goes_on",
+    "within_bounds",
 )  # fmt: skip
 
 

@@ -33,6 +33,10 @@ DEADLINE_S, HOLD_S, LATE_S = 0.05, 0.2, 0.0035
 UNFELT_S = 0.5
 # Times after which the link knows a change of the line's delay, and for which a person waits who presses a stop [s].
 KNOWN_S, PATIENCE_S = 3.0, 6.2
+# Stated bounds of the defaults: travel of hand and base [m], their greatest speeds [m/s], and forces at the hand [N].
+HAND_TRAVEL_M, HAND_M_PER_S, HAND_FORCE_N = (-0.0045001, 0.0145001), 0.0394, 10.0
+HAND_FORCES = ("operator_force_n", "motor_force_n")
+BASE_M, BASE_M_PER_S = (-200.1e-9, 200.1e-9), 2.0e-6
 VISITORS = ("launcher", "console", "view", "estop", "recorder")
 # Heads of a record and of a message in a chunk, and opcodes: the library takes ten times as long for each message.
 RECORD, MESSAGE, CHANNEL_RECORD, MESSAGE_RECORD = struct.Struct("<BQ"), struct.Struct("<HIQQ"), 4, 5
@@ -387,7 +391,44 @@ def judge_going_on(session: Session) -> Iterator[Break]:
             yield Break("goes_on", at_s, f"{device} is {mode} after all was armed again")
 
 
-ALL = judge_tip, judge_hand, judge_stops, judge_going_on, judge_recordings, judge_counters, judge_verdict, judge_energy
+def judge_bounds(session: Session) -> Iterator[Break]:
+    """Check: each quantity of a state is within its stated bound, and no place steps beyond its speed."""
+    for one in session.direct[HAND, "haptic/state"]:
+        said = one.fields
+        places = {"position_m": said["position_m"][2], "reference_m": said["reference_m"][2]}
+        outside = {name: z for name, z in places.items() if not HAND_TRAVEL_M[0] <= -z <= HAND_TRAVEL_M[1]}
+        outside |= {name: f for name in HAND_FORCES if not abs(f := said[name][2]) <= HAND_FORCE_N}
+        if not abs(speed := said["velocity_m_per_s"][2]) <= HAND_M_PER_S:
+            outside["velocity_m_per_s"] = speed
+        for name, value in outside.items():
+            yield Break("within_bounds", one.sent_s, f"{name} of the hand is {value:.6g}")
+    for one in session.direct["controller@master", "haptic/command"]:
+        if one.fields["mode"] != "off" and not HAND_TRAVEL_M[0] <= -one.fields["position_m"][2] <= HAND_TRAVEL_M[1]:
+            yield Break("within_bounds", one.sent_s, f"the law leads the hand to {-one.fields['position_m'][2]:.6g} m")
+    states = session.direct[TIP, "afm/state"]
+    for before, one in pairwise([None, *states]):
+        if not BASE_M[0] <= one.depth_m <= BASE_M[1]:
+            yield Break("within_bounds", one.sent_s, f"the base is at {one.depth_m:.6g} m")
+        # A new process has a new simulated instrument, and the place of one that is lost is that of its last reading.
+        read = before is not None and all(pair.fields.get("device") in (None, "ok") for pair in (before, one))
+        if not read or before.fields["seq"] + 1 != one.fields["seq"] or one.fields["hand_t_ns"] == 0:
+            continue
+        most_m = BASE_M_PER_S * (one.sent_s - before.sent_s + LATE_S)
+        if abs(way_m := one.depth_m - before.depth_m) > most_m:
+            yield Break("within_bounds", one.sent_s, f"the base has gone {way_m:.6g} m in one step")
+
+
+ALL = (
+    judge_tip,
+    judge_bounds,
+    judge_hand,
+    judge_stops,
+    judge_going_on,
+    judge_recordings,
+    judge_counters,
+    judge_verdict,
+    judge_energy,
+)
 
 
 def judged(session: Session) -> list[Break]:

@@ -146,7 +146,23 @@ def _blaming(judge: Any) -> Any:
     return blamed
 
 
+def _jumping(next_base: Any) -> Any:
+    def step(params: Any, base_m: float, mode: int, *inputs: float) -> tuple[float, int]:
+        if mode in (tip_guard.MODE_RETRACTING, tip_guard.MODE_ESTOP):
+            return min(base_m, params.retract_position_m), 0
+        moved: tuple[float, int] = next_base(params, base_m, mode, *inputs)
+        return moved
+
+    return step
+
+
 PLANTED: dict[str, Fault] = {
+    "a tip that jumps": _fault(
+        "a tip that is withdrawn is at its place of safety in one step",
+        "within_bounds",
+        _instead(tip_guard, "_next_base", _jumping),
+        events=[_at(2.0, "press", site="slave", target="afm_node")],
+    ),
     "an arm after a stop": _fault(
         "a command that was given before an emergency stop arms after it",
         "stop_is_last",

@@ -234,7 +234,7 @@ def test_the_page_is_on_loopback_and_shows_the_rig(rig: Composed) -> None:
 
     rig.wait_until(lambda: rig.healthy(VIEW), "health of the page")
     # as docs/deployment.md says
-    addresses = rig.compose("exec", "-T", VIEW, "sh", "-c", "cat /run/telenano/*.addresses").splitlines()
+    addresses = rig.compose("exec", "-T", VIEW, "telenano", "view", "--addresses").splitlines()
     operator = next(line for line in addresses if line.startswith("operator: "))
     assert operator in rig.logs(VIEW)
     base, _, token = operator.split()[1].partition("/#")

@@ -210,8 +210,9 @@ def _courses(recording: Recording, wanted: Mapping[str, str], origin_ns: int) ->
     timeline = Timeline(recording)
 
     def read(channel: str, *names: str) -> dict[str, Any]:
-        table = recording.columns(channel, ("publish_ns", *names))
-        table["time"] = 1e-9 * (timeline.times_ns(wanted[channel], table["publish_ns"]) - origin_ns)
+        table = recording.columns(channel, ("publish_ns", "log_ns", *names))
+        times_ns = timeline.times_ns(wanted[channel], table["publish_ns"], table.pop("log_ns"))
+        table["time"] = 1e-9 * (times_ns - origin_ns)
         return table
 
     clock = "Time since the start of the operator's force profile"

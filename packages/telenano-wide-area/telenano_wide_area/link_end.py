@@ -22,7 +22,7 @@ def open_end(side: LinkSide) -> None:
     """
     settings = side.book.link.read(DatagramSettings)
     if side.book.relay is None:
-        place = place_of(side.endpoint, settings.port, is_master=side.is_master)
+        place = place_of(side.endpoint, settings.port, None if side.is_master else side.own_endpoint or "")
     else:
         access = side.network.access_control
         place = relayed_place(side.book.relay, access, side.machine, direct=settings.direct)
@@ -39,11 +39,16 @@ def open_end(side: LinkSide) -> None:
     )
 
 
-def place_of(endpoint: str, port: int | None, *, is_master: bool) -> Place:
+def place_of(endpoint: str, port: int | None, own: str | None) -> Place:
     """Return the addresses of an end, from the endpoint of the link and a UDP port (None: that of the endpoint).
 
     The master's end has a fixed port. The slave's end takes any port and sends first, so that it may be behind a
-    router.
+    router; it binds the address that its site binds for TCP.
+
+    Args:
+        endpoint: The TCP endpoint of the link, which the master binds.
+        port: The UDP port of the master's end.
+        own: The TCP endpoint that the slave binds, empty without one; None at the master.
 
     Raises:
         ValueError: The name of the master cannot be resolved here.
@@ -51,9 +56,12 @@ def place_of(endpoint: str, port: int | None, *, is_master: bool) -> Place:
     host, tcp_port = split_host_port(endpoint.removeprefix("tcp://"))
     port = port or tcp_port
     family = socket.AF_INET if ipaddress.ip_address(host).version == 4 else socket.AF_INET6
-    if is_master:
+    if own is None:
         return Place(family, (host, port), None, port)
-    return Place(family, ("::" if family is socket.AF_INET6 else "0.0.0.0", 0), (host, port), port)
+    bound = split_host_port(own.removeprefix("tcp://"))[0] if own.startswith("tcp://") else ""
+    if not bound or (ipaddress.ip_address(bound).version == 4) != (family is socket.AF_INET):
+        bound = "::" if family is socket.AF_INET6 else "0.0.0.0"
+    return Place(family, (bound, 0), (host, port), port)
 
 
 def relayed_place(relay: str, access: AccessControl, machine: str, *, direct: bool = True) -> Place:

@@ -25,6 +25,7 @@ from telenano_wide_area.datagram.sealing import (
     Sealer,
 )
 from telenano_wide_area.doubles.datagram_bench import SOURCES, STEP_NS, Pair, Side, pair
+from telenano_wide_area.link_end import place_of
 from telenano_wide_area.sealed import RejectedError
 
 from telenano.testing import payload
@@ -686,3 +687,20 @@ def test_an_end_holds_what_arrives_until_its_time() -> None:
         slave.take()
         assert held.due_ns > waiting_ns
         assert slave.seqs[-1] == ends.master.seq - 1
+
+
+@pytest.mark.parametrize(
+    ("own", "bound"),
+    [
+        ("tcp://192.168.7.2:5560", "192.168.7.2"),
+        ("tcp://0.0.0.0:5560", "0.0.0.0"),
+        ("ipc:///run/x", "0.0.0.0"),
+        ("", "0.0.0.0"),
+        ("tcp://[fe80::1]:5560", "0.0.0.0"),
+    ],
+)
+def test_the_end_at_the_slave_binds_the_address_of_its_site(own: str, bound: str) -> None:
+    place = place_of("tcp://192.168.7.1:5561", None, own)
+    assert place.bind == (bound, 0)
+    assert place.peer == ("192.168.7.1", 5561)
+    assert place_of("tcp://192.168.7.1:5561", 6000, None).bind == ("192.168.7.1", 6000)

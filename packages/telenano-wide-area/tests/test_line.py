@@ -1,6 +1,7 @@
 """The queue of a line and the rate that follows from it, in virtual time: queues, TCP beside us, drift, jitter."""
 
 import random
+from collections.abc import Callable
 
 import pytest
 from hypothesis import given, settings
@@ -9,6 +10,8 @@ from line_bench import MS, Bottleneck, Jitter, even, normal, pareto, run, stalls
 from telenano_wide_area.datagram.line import Line
 from telenano_wide_area.datagram.outgoing import LEAST_HZ
 from telenano_wide_area.datagram.rate import FULL_NS, Delivery, PathEstimate, RateControl
+
+from telenano.timing import OffsetFilter
 
 MBIT = 125_000.0
 FIXED_NS = 20 * MS
@@ -79,7 +82,7 @@ def test_a_peak_within_a_tenth_of_a_second_is_no_standing_queue() -> None:
 
 def test_the_queue_that_is_told_is_the_greatest_since_the_last_report_and_not_the_one_of_its_moment() -> None:
     line = Line()
-    for tick in range(1500):
+    for tick in range(2000):
         # A burst of messages fills the line for a third of a second, and is gone when the report is made.
         line.record(*exchange((tick + 100) * MS, 0.0, max(0.0, 126.0 - 0.4 * (tick - 1000)) if tick >= 1000 else 0.0))
         if tick == 999:
@@ -108,6 +111,67 @@ def test_no_exchange_that_can_be_read_makes_a_negative_queue_or_an_error(stamps:
         line.record(*stamp)
         for queue_ns in (line.there_ns, line.back_ns):
             assert queue_ns is None or queue_ns >= -1
+
+
+# Delays that no load has made: a route that becomes longer one way or both, datagrams that are held back while others
+# overtake them, and jitter. `load` is a queue that does fill.
+KINDS = ("longer both ways", "longer to here", "overtaken", "jitter", "load")
+
+
+def drawn_way(kind: str, dice: random.Random) -> tuple[Callable[[float], float], Callable[[float], float], float]:
+    """Return the delays beyond 10 ms there and back at a time [s] in ms, and the greatest queue [ms]."""
+    size_ms, at_s = dice.uniform(5.0, 150.0), dice.uniform(3.0, 6.0)
+    share, held_ms, jitter_ms = dice.uniform(0.05, 0.5), dice.uniform(5.0, 40.0), dice.choice([0.0, 0.1, 0.5])
+
+    def jitter() -> float:
+        return dice.uniform(0.0, jitter_ms)
+
+    if kind.startswith("longer"):
+        there = 1.0 if kind == "longer both ways" else 0.0
+        return lambda t: jitter() + there * size_ms * (t > at_s), lambda t: jitter() + size_ms * (t > at_s), 0.0
+    if kind == "overtaken":
+
+        def held(time_s: float) -> float:
+            return jitter() + held_ms * (dice.random() < share)
+
+        return held, held, 0.0
+    if kind == "jitter":
+        return lambda t: abs(dice.gauss(0.0, size_ms / 10)), lambda t: abs(dice.gauss(0.0, size_ms / 10)), 0.0
+    rises_s, stands_s = dice.uniform(0.5, 2.0), dice.uniform(0.5, 2.0)
+
+    def queue_ms(t: float) -> float:
+        filled = min(1.0, (t - at_s) / rises_s, (at_s + 2.0 * rises_s + stands_s - t) / rises_s)
+        return size_ms * max(0.0, filled)
+
+    return lambda t: jitter(), lambda t: jitter() + queue_ms(t), size_ms
+
+
+def greatest_told_ms(kind: str, seed: int) -> tuple[float, float]:
+    """Return the greatest queue to here that is told, and the true one [ms], as an end sees exchanges at 250 Hz."""
+    dice = random.Random(f"{kind} {seed}")
+    there_ms, back_ms, truth_ms = drawn_way(kind, dice)
+    line, offset, told = Line(), OffsetFilter(64), 0.0
+    arrivals: list[tuple[float, float, float]] = []
+    for tick in range(10 * 250):
+        asked_s = 1.0 + tick / 250
+        heard_s = asked_s + 1e-3 * (10.0 + there_ms(asked_s))
+        arrivals.append((heard_s + 1e-3 * (10.0 + back_ms(heard_s)), asked_s, heard_s))
+    for number, times_s in enumerate(sorted(arrivals)):
+        received, asked, heard = (round(1e9 * time_s) for time_s in times_s)
+        stamps = (asked, heard + AHEAD_NS, heard + AHEAD_NS, received)
+        line.record(*stamps)
+        if offset.record(*stamps):
+            line.jump(received, *offset.present.jumped_ns)
+        if number % 25 == 0 and (standing := line.take_back()) is not None:
+            told = max(told, standing.queue_ns * 1e-6)
+    return told, truth_ms
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_queue_is_told_only_where_the_load_has_filled_one(kind: str) -> None:
+    found = [greatest_told_ms(kind, seed) for seed in range(12)]
+    wrong = [one for one in found if (one[0] > 5.0 if one[1] == 0.0 else not 0.7 < one[0] / one[1] < 1.2)]
+    assert len(wrong) <= 1, wrong
 
 
 # --- the rate ---

@@ -24,6 +24,7 @@ from telenano.doctor import checks
 from telenano.doctor.devices import check_instrument, check_serial_ports
 from telenano.extend.checks import Finding
 from telenano.launcher.processors import held, shared_folder
+from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, rigs_with_folders
 from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.settings.package_topics import installed_topics, row_of
 from telenano.settings.plugins import (
@@ -35,7 +36,7 @@ from telenano.settings.plugins import (
     load,
     scenario_files,
 )
-from telenano.wire.errors import ConfigError, EndpointError, TelenanoError
+from telenano.wire.errors import ConfigError, EndpointError, RigError, TelenanoError
 from telenano.wire.extras import extra_of, how_to_install
 
 if TYPE_CHECKING:
@@ -60,6 +61,12 @@ def doctor(
         if warm:
             compile_models(as_json=as_json)
             return
+        named = os.environ.get(RIG_VARIABLE, FIRST_RIG)
+        if named not in rigs_with_folders():
+            raise RigError(
+                f"there is no rig {named} on this machine, there are {', '.join(rigs_with_folders())}: leave --rig out "
+                f"to check the machine for a new one"
+            )
         findings = examine(site_file)
         if stage is not None:
             findings.append(check_instrument(stage))

@@ -47,7 +47,8 @@ class AfmMemory(msgspec.Struct, array_like=True):
     whether the tip was placed at the last step; places: whether that has still to be reported after arming. disarmed:
     whether the hand was disarmed while the tip was held, after which no command ends the hold. interrupted: whether
     another command has come since the last step. words: whether an `arm` has to state where the tip may go, which it
-    did not in earlier recordings.
+    did not in earlier recordings. found_m: position of the base at the last step by its read-out [m]; away: whether the
+    device was lost at that step, or has not been seen yet.
     """
 
     guard: safety.SafetyState
@@ -68,6 +69,8 @@ class AfmMemory(msgspec.Struct, array_like=True):
     disarmed: bool = False
     interrupted: bool = False
     words: bool = False
+    found_m: float = 0.0
+    away: bool = False
 
     def asks(
         self, base_m: float, action: int, command_age_s: float, *now: bool, by_hand: tuple[Any, ...] = ()
@@ -333,6 +336,9 @@ class GuardedInstrument:
 
     def step(self, memory: AfmMemory, asked: safety.SafetyInputs, wanted: Wanted[Any], elapsed_s: float) -> Step:
         """Pass the inputs through the guard, apply the base that it allows, and measure."""
+        if memory.away and not asked.device_lost:
+            memory.guard = safety.found_at(memory.guard, memory.found_m)
+        memory.away = asked.device_lost
         memory.guard, allowed = safety.safety_step(self._limits, memory.guard, asked, elapsed_s)
         step = Step(allowed, wanted, elapsed_s)
         self.parts.prepare(step, memory)
@@ -340,7 +346,7 @@ class GuardedInstrument:
         if not step.follows and allowed.base_m <= self._limits.retract_position_m:
             self._vibration.vibrate(0.0)
         step.sample = self._driver.exchange(allowed.base_m)
-        memory.force_n = step.sample.force_n
+        memory.force_n, memory.found_m = step.sample.force_n, step.sample.base_m
         self.parts.measure(step, memory)
         return step
 

@@ -301,7 +301,10 @@ class AddressBook(Settings):
             for node in self.nodes
             if topic.is_published_by(node) and site_of(node) == here and self.reaches(machine, node)
         ]
-        far = any(topic.is_published_by(node) and site_of(node) != here for node in self.nodes)
+        # Senders of emergency stops have no endpoint, and so are in no site file.
+        far = topic.is_published_by(f"estop@{here}") or any(
+            topic.is_published_by(node) and site_of(node) != here for node in self.nodes
+        )
         link = f"{LINK}@{here}"
         if far and link in self.nodes and _crosses(topic, to_site=here) and link not in reachable:
             reachable.append(link)

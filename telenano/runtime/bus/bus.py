@@ -12,10 +12,10 @@ import zmq
 from telenano.runtime.bus.publisher import FIRST_THREAD, SEND_HIGH_WATER_MARK, Publisher
 from telenano.timing.clock import NEVER_NS, Clock
 from telenano.wire import TOPICS
-from telenano.wire.codec import MAX_MESSAGE_BYTES, WireError, accept, read_header
+from telenano.wire.codec import MAX_MESSAGE_BYTES, WireError, accept, read_whole_header
 from telenano.wire.messages import MAX_ROWS, SUPERSEDED, InputHealth, Message
 from telenano.wire.received import Received
-from telenano.wire.sequence import Arrival, SequenceTracker
+from telenano.wire.sequence import Arrival, Numbers, SequenceTracker, is_behind
 
 # Time of messages that a publisher queues for a reader [s]; a running reader that is behind queues as many again.
 # Beyond that the newest messages are lost, and the reader counts them.
@@ -51,8 +51,8 @@ MOST_REPORTED = 64
 
 # Frames of a message, and its time of reception [ns].
 Taken = tuple[Sequence[bytes], int]
-# Sequence statistics of the source of a message, its seq, and its t_ns [ns].
-Header = tuple[SequenceTracker, int, int]
+# Sequence statistics of the source of a message, and the numbers in its header.
+Header = tuple[SequenceTracker, Numbers]
 
 
 class Bus(Protocol):
@@ -118,20 +118,20 @@ class MessageReader:
             return None
         topic = self._conflated[frames[0]]
         try:
-            seq, t_ns, src = read_header(topic, frames[1])
+            seq, t_ns, src, run = read_whole_header(topic, frames[1])
             if self.permit is not None:
                 self.permit(topic, src)
         except WireError:
             return None
         tracker = self.trackers.get((topic, src))
-        return None if tracker is None else (tracker, seq, t_ns)
+        return None if tracker is None else (tracker, (seq, t_ns, run))
 
     def decode_and_track(self, frames: Sequence[bytes], received_ns: int) -> Received | None:
         """Decode, validate and count one message; None if it is rejected, set aside, repeated or superseded."""
         if (accepted := self.accepted(frames)) is None:
             return None
         topic, message, payload, tracker = accepted
-        arrival = tracker.accept(message.seq, message.t_ns)
+        arrival = tracker.accept(message.seq, message.t_ns, message.run)
         if topic in self._aside:
             self._aside[topic](message)
             return None
@@ -166,11 +166,11 @@ class MessageReader:
     def has_newer(self, topic: str, payload: bytes) -> bool:
         """Return whether a message as new as this one, or newer, was received from the same source."""
         try:
-            seq, t_ns, src = read_header(topic, payload)
+            seq, t_ns, src, run = read_whole_header(topic, payload)
         except WireError:
             return False
         tracker = self.trackers.get((topic, src))
-        return tracker is not None and seq <= tracker.last_seq and t_ns <= tracker.last_t_ns
+        return tracker is not None and tracker.is_behind(seq, t_ns, run)
 
     def input_health(self) -> tuple[InputHealth, ...]:
         """Return the sequence statistics of the sources that sent most, and empty ones for silent topics."""
@@ -495,22 +495,22 @@ def without_superseded(
     if len(set(topics)) == len(topics):
         return waiting
     crowded = {topic for topic, count in Counter(topics).items() if count > 1 and topic in latest}
-    newest: dict[SequenceTracker, tuple[int, int, int]] = {}
+    newest: dict[SequenceTracker, tuple[int, Numbers]] = {}
     superseded: set[int] = set()
     for place, (frames, _) in enumerate(waiting):
         header = header_of(frames) if frames[0] in crowded else None
         if header is None:
             continue
-        tracker, seq, t_ns = header
+        tracker, numbers = header
         before = newest.get(tracker)
         if before is not None:
-            older, older_seq, older_t_ns = before
-            if seq <= older_seq and t_ns <= older_t_ns:
+            older, older_numbers = before
+            if is_behind(numbers, older_numbers):
                 continue
             superseded.add(older)
-            arrival = tracker.accept(older_seq, older_t_ns)
+            arrival = tracker.accept(*older_numbers)
             tracker.superseded += arrival not in (Arrival.DUPLICATE, Arrival.LATE)
-        newest[tracker] = (place, seq, t_ns)
+        newest[tracker] = (place, numbers)
     return [taken for place, taken in enumerate(waiting) if place not in superseded]
 
 

@@ -60,7 +60,7 @@ class HandedReader(MessageReader):
             # An invalid message is refused and counted with the same reasons as on a socket.
             return super().decode_and_track((topic.encode(), payload), received_ns)
         tracker = self.trackers.get((topic, message.src)) or self.tracker(topic, message.src)
-        arrival = tracker.accept(message.seq, message.t_ns)
+        arrival = tracker.accept(message.seq, message.t_ns, message.run)
         if arrival is not _NEXT and (
             (arrival is _LATE and TOPICS[topic].delivery == "latest")
             or (arrival is _DUPLICATE and topic != "session/control")

@@ -15,6 +15,7 @@ from telenano.wire import TOPICS, compose
 from telenano.wire.ends import END_TOPIC, end_data
 from telenano.wire.errors import EndpointError
 from telenano.wire.messages import Message
+from telenano.wire.sequence import run_at
 
 # Most messages that a publisher queues for a reader whose process is stopped: ten seconds of the busiest publisher, a
 # half of the controller with 2100 messages per second.
@@ -48,6 +49,7 @@ class _NumberingPublisher(ABC):
         # Called with a sentence when a quantity was out of its range and has been limited.
         self.on_limited: Callable[[str], None] = lambda text: None
         self._clock = clock
+        self._run = run_at(clock.now_ns())
         self._sequence: dict[str, int] = {}
 
     def publish(self, topic: str, **fields: Any) -> Message:
@@ -57,7 +59,7 @@ class _NumberingPublisher(ABC):
             WireError: The message is invalid or too large.
         """
         seq = self._sequence.get(topic, 0)
-        header = {"seq": seq, "t_ns": self._clock.now_ns(), "src": self.node, "v": version_of(topic)}
+        header = {"seq": seq, "t_ns": self._clock.now_ns(), "src": self.node, "v": version_of(topic), "run": self._run}
         message, payload = compose(topic, {**header, **fields}, self.on_limited)
         self.send(topic, payload)
         self._sequence[topic] = seq + 1

@@ -24,6 +24,7 @@ from telenano.runtime.loop.estop_latch import EstopLatch, begins_motion
 from telenano.runtime.loop.machine import OWN_MACHINE
 from telenano.timing.clock import Clock
 from telenano.wire import encode
+from telenano.wire.answers import parameter_data
 from telenano.wire.ends import read_end
 from telenano.wire.errors import LaterError, TelenanoError
 from telenano.wire.messages import Message, Scalar, SessionControl, SessionEvent
@@ -476,8 +477,7 @@ class CommandHandler:
         if is_new:
             if refusal := self._refusal(control, now_ns):
                 text, facts = refusal
-                facts = {"command": control.command, **facts, "sent_t_ns": control.t_ns, **_giver(control)}
-                self._event("refused", "warning", text, answer_to=control.id, **facts)
+                self._event("refused", "warning", text, answer_to=control.id, **facts, **answer_data(control))
                 return False
             try:
                 answer = self._answers[control.id] = self._answer(control)
@@ -491,7 +491,7 @@ class CommandHandler:
             elif answer.kind == "ack" and control.command == "arm":
                 self.latch.release()
         kind, level, text, _ = self._answers[control.id]
-        self._event(kind, level, text, answer_to=control.id, command=control.command, **_giver(control))
+        self._event(kind, level, text, answer_to=control.id, **answer_data(control))
         return is_new
 
     def _note_stop(self, control: SessionControl, now_ns: int) -> None:
@@ -545,8 +545,19 @@ class CommandHandler:
             return _Answer("refused", "warning", str(error), begins)
 
 
-def _giver(control: SessionControl) -> dict[str, Scalar]:
-    return {} if control.by is None else {"by": control.by}
+def answer_data(control: SessionControl) -> dict[str, Scalar]:
+    """Return the data of an answer that repeat the command: a recorder may not have received the command itself.
+
+    Its sender comes and goes, while the node that answers is connected for the whole session.
+    """
+    giver: dict[str, Scalar] = {} if control.by is None else {"by": control.by}
+    facts: dict[str, Scalar] = {
+        "command": control.command,
+        "target": control.target,
+        "giver": control.src,
+        "sent_t_ns": control.t_ns,
+    }
+    return {**facts, **giver, **parameter_data(control.parameters)}
 
 
 def stop_of(node: str, now_ns: int, token: Callable[[int], str] = OWN_MACHINE.token) -> SessionControl:

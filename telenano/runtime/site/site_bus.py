@@ -37,7 +37,7 @@ class SitePublisher(ZmqPublisher):
 
     def publish(self, topic: str, **fields: Any) -> Message:
         seq = self._sequence.get(topic, 0)
-        header = {"seq": seq, "t_ns": self._clock.now_ns(), "src": self.node, "v": version_of(topic)}
+        header = {"seq": seq, "t_ns": self._clock.now_ns(), "src": self.node, "v": version_of(topic), "run": self._run}
         # The message is encoded before it is passed on: readers need its bytes, and an invalid message reaches none.
         message, payload = compose(topic, {**header, **fields}, self.on_limited)
         super().send(topic, payload)

@@ -121,6 +121,11 @@ class LinkSide:
         return self.network.is_connected_to(self.machine)
 
     @property
+    def own_endpoint(self) -> str | None:
+        """The TCP endpoint that this machine binds for the other end; None if it binds none."""
+        return self.book.bind_endpoint(_NEAR_END if self.is_master else FAR_END)
+
+    @property
     def endpoint(self) -> str:
         """The TCP endpoint of the link: at the master the bound one, at the slave the one to connect to."""
         near = self.book.bind_endpoint(_NEAR_END) if self.is_master else None

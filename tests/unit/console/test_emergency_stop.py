@@ -21,6 +21,7 @@ from telenano.cli import estop_command
 from telenano.cli.estop_command import EstopRequest, read_arguments, run_estop
 from telenano.console import emergency_stop
 from telenano.console import send_commands as command_client
+from telenano.console.answers import Answer
 from telenano.console.emergency_stop import LocalRig, Reach, _answer, _Inlet, _Sender
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.publisher import ZmqPublisher
@@ -31,7 +32,7 @@ from telenano.testing.filled_messages import examples
 from telenano.timing.clock import SystemClock
 from telenano.wire import decode, encode
 from telenano.wire.codec import fields_of
-from telenano.wire.errors import EndpointError, RigError
+from telenano.wire.errors import EndpointError
 from telenano.wire.messages import SessionControl
 from telenano.wire.nodes import DEVICES
 from telenano.wire.topics import TOPICS
@@ -106,7 +107,8 @@ def run(tmp_path: Path) -> Iterator[Callable[..., Device]]:
 @pytest.fixture
 def site_file(tmp_path: Path) -> Path:
     path = tmp_path / "site.yaml"
-    nodes = (HAND, TIP, LINK, "delay_node@slave", RECORDER, "console@master", "controller@master")
+    further = ("delay_node@slave", "console@master", "controller@master", "controller@slave", "launcher@slave")
+    nodes = (HAND, TIP, LINK, RECORDER, *further)
     path.write_text(json.dumps({"nodes": {node: f"ipc://{tmp_path}/{node}" for node in nodes}}))
     return path
 
@@ -168,12 +170,12 @@ def test_a_rig_that_does_not_answer_does_not_keep_the_stop_from_the_others(
         if "rig-lab" in rig.endpoints[TIP]:
             return real(rig, *given)
         two_rigs[3].wait_for(1)
-        raise RigError(f"{TIP} did not answer estop within 5 s")
+        return {TIP: Answer(TIP, "kept", "did not answer estop within 5 s")}
 
     monkeypatch.setattr(estop_command, "emergency_stop", stop)
     assert run_estop(EstopRequest()) == 1
     assert two_rigs[2].taken and two_rigs[3].taken
-    assert f"telenano: rig main: {TIP} did not answer estop within 5 s" in capsys.readouterr().err
+    assert f"telenano: main/{TIP} did not answer estop within 5 s" in capsys.readouterr().err
 
 
 def test_a_rig_in_folders_of_its_site_file_is_stopped_once(
@@ -204,11 +206,24 @@ def test_from_one_site_the_tip_is_stopped_through_the_link(
     assert {control.src for control in (*hand.taken, *link.taken)} == {"estop@master"}
 
 
-def test_from_the_instruments_site_the_tip_alone_is_stopped(run: Callable[..., Device], site_file: Path) -> None:
+def test_a_stop_of_either_site_goes_to_both_devices(run: Callable[..., Device], site_file: Path) -> None:
     hand, tip, link = run(HAND), run(TIP), run(LINK, TIP)
-    assert run_estop(EstopRequest(site="slave", site_file=site_file)) == 0
-    assert tip.taken
-    assert hand.taken == link.taken == []
+    for count, site in enumerate(("slave", "master"), 1):
+        assert run_estop(EstopRequest(site=site, site_file=site_file)) == 0
+        assert [len({control.id for control in device.taken}) for device in (hand, tip)] == [count, count]
+    assert link.taken == []
+
+
+def test_at_the_instruments_machine_a_hand_that_is_not_heard_of_is_out_of_reach(
+    run: Callable[..., Device], site_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("telenano.console.emergency_stop._DEADLINE_S", 0.5)
+    tip, folder = run(TIP), site_file.parent
+    assert run_estop(EstopRequest(site_file=site_file, as_json=True)) == 1
+    answers = json.loads(capsys.readouterr().out)["answers"]
+    assert {node: row["kind"] for node, row in answers.items()} == {TIP: "ack", HAND: "unreached"}
+    assert {control.target for control in tip.taken} == {"*"}, "the instrument's answer has whom the stop is for"
+    assert not (folder / f"{HAND}.estop.kept").exists(), "nobody would read it here"
 
 
 def test_a_device_that_does_not_run_is_named_and_the_other_one_stopped(
@@ -216,7 +231,7 @@ def test_a_device_that_does_not_run_is_named_and_the_other_one_stopped(
 ) -> None:
     run(LINK, TIP)
     tip = run(TIP)
-    assert run_estop(EstopRequest(site_file=site_file)) == 0
+    assert run_estop(EstopRequest(site_file=site_file)) == 1
     said = f"telenano: {HAND} is not running: the stop is kept, and it will start in emergency stop\n"
     assert capsys.readouterr() == (f"{TIP} ack: stopped\n", said)
     assert tip.taken
@@ -242,7 +257,7 @@ def test_a_device_that_does_not_answer_is_named(
         assert run_estop(EstopRequest(site_file=site_file)) == 1
     out, err = capsys.readouterr()
     assert out == f"{HAND} ack: stopped\n"
-    later = f"{TIP} will stop as soon as it continues or is started again"
+    later = "it will stop as soon as it continues or is started again"
     assert err == f"telenano: {TIP} did not answer estop within 0.3 s: {later}\n"
     kept = decode("session/control", (site_file.parent / f"{TIP}.estop.kept").read_bytes())
     assert isinstance(kept, SessionControl)
@@ -255,7 +270,7 @@ def test_a_stop_is_kept_for_a_device_whose_folder_was_removed_while_it_is_starte
     nodes = json.loads(site_file.read_text())["nodes"]
     gone = site_file.parent / "gone"
     site_file.write_text(json.dumps({"nodes": nodes | {TIP: f"ipc://{gone}/{TIP}"}}))
-    run(HAND)
+    run(HAND), run("controller@slave")
     run_estop(EstopRequest(site_file=site_file))
     kept = decode("session/control", (gone / f"{TIP}.estop.kept").read_bytes())
     assert isinstance(kept, SessionControl)
@@ -417,16 +432,16 @@ def test_ways_to_devices_that_are_not_here(run: Callable[..., Device], tmp_path:
     here = f"ipc://{tmp_path}/"
     both = {"local": here + TIP, "network": "tcp://10.0.0.2:5712"}
     # nothing runs: an ipc socket alone says so, what has a network endpoint may run elsewhere
-    assert LocalRig({HAND: here + HAND, TIP: both}).reach("*", "") == Reach((), (), (TIP,), (HAND,))
-    assert LocalRig({HAND: "tcp://10.0.0.1:5701"}).reach("*", "") == Reach((), (), (HAND,), ())
-    assert LocalRig({}).reach("*", "") == Reach((), (), (), ())
+    assert LocalRig({HAND: here + HAND, TIP: both}).reach("*", "") == Reach(by_console=(TIP,), absent=(HAND,))
+    assert LocalRig({HAND: "tcp://10.0.0.1:5701"}).reach("*", "") == Reach(by_console=(HAND,))
+    assert LocalRig({}).reach("*", "") == Reach()
     run(LINK)
     rig = LocalRig({HAND: here + HAND, TIP: both, LINK: {"local": here + LINK}})
-    assert rig.reach("*", "") == rig.reach("*", "master") == Reach((), (TIP,), (), (HAND,))
-    assert rig.reach("haptic_node", "slave") == Reach((), (), (), ())
+    assert rig.reach("*", "") == rig.reach("*", "master") == Reach(by_link=(TIP,), absent=(HAND,))
+    assert rig.reach("haptic_node", "slave") == Reach(absent=(HAND,))
     # a node of an older version has an endpoint and no inlet
     with zmq.Context() as context, closing(ZmqPublisher(context, SystemClock(), HAND, here + HAND)):
-        assert rig.reach("haptic*", "master") == Reach((), (), (HAND,), ())
+        assert rig.reach("haptic*", "master") == Reach(by_console=(HAND,))
 
 
 @pytest.mark.parametrize("path", [DEFAULT_SITE_FILE, TWO_SITES_FILE])

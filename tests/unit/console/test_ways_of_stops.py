@@ -28,7 +28,8 @@ class Here(NamedTuple):
 
 
 def reach(monkeypatch: pytest.MonkeyPatch, here: Here, site: str, target: str = "*") -> Reach:
-    endpoints = {node: f"ipc:///r/{node}" for node in (HAND, TIP, LINK)}
+    further = (SLAVE_HALF, MASTER_HALF, "launcher@slave", "launcher@master")
+    endpoints = {node: f"ipc:///r/{node}" for node in (HAND, TIP, LINK, *further)}
     bound = {endpoints[node] for node in (*here.inlets, *here.older)}
     bound |= {f"{endpoints[node]}.estop" for node in here.inlets}
     monkeypatch.setattr(emergency_stop, "bound_by", lambda endpoint: OURS if endpoint in bound else None)
@@ -37,43 +38,55 @@ def reach(monkeypatch: pytest.MonkeyPatch, here: Here, site: str, target: str = 
     return rig.reach(target, site)
 
 
+SLAVE_HALF, MASTER_HALF = "controller@slave", "controller@master"
+
+
 @pytest.mark.parametrize(
     ("here", "site", "way"),
     [
-        # both devices take stops here
-        (Here((HAND, TIP)), "", Reach((HAND, TIP), (), (), ())),
-        (Here((HAND, TIP)), "slave", Reach((TIP,), (), (), ())),
-        # from the hand's site the tip is reached through the link, and without one by a console
-        (Here((HAND, TIP, LINK)), "master", Reach((HAND,), (TIP,), (), ())),
-        (Here((HAND, TIP)), "master", Reach((HAND,), (), (TIP,), ())),
-        # from the tip's site nothing goes through the link, which is at the other one
-        (Here((HAND, LINK)), "slave", Reach((), (), (), (TIP,))),
-        (Here((HAND, LINK), networked=(TIP,)), "slave", Reach((), (), (TIP,), ())),
-        # a tip that can run on this machine alone and does not is absent, whether or not there is a link
-        (Here((HAND,)), "", Reach((HAND,), (), (), (TIP,))),
-        (Here((HAND, LINK)), "", Reach((HAND,), (), (), (TIP,))),
-        # from the hand's site it is reached through the link all the same
-        (Here((HAND, LINK)), "master", Reach((HAND,), (TIP,), (), ())),
-        # one that may run on another machine is reached through the link, and without one by a console
-        (Here((HAND, LINK), networked=(TIP,)), "", Reach((HAND,), (TIP,), (), ())),
-        (Here((HAND,), networked=(TIP,)), "", Reach((HAND,), (), (TIP,), ())),
+        # both devices take stops here, whatever site the person is at
+        (Here((HAND, TIP)), "", Reach(direct=(HAND, TIP))),
+        (Here((HAND, TIP)), "slave", Reach(direct=(HAND, TIP))),
+        (Here((HAND, TIP, LINK)), "master", Reach(direct=(HAND, TIP))),
+        # a tip that is not here is reached through the link, whether its other nodes are here or not
+        (Here((HAND, LINK)), "", Reach(direct=(HAND,), by_link=(TIP,))),
+        (Here((HAND, LINK)), "master", Reach(direct=(HAND,), by_link=(TIP,))),
+        (Here((HAND, LINK)), "slave", Reach(direct=(HAND,), by_link=(TIP,))),
+        (Here((HAND, LINK), networked=(TIP,)), "", Reach(direct=(HAND,), by_link=(TIP,))),
+        (Here((HAND, LINK), older=(SLAVE_HALF,)), "", Reach(direct=(HAND,), by_link=(TIP,))),
+        # without a link it does not run where other nodes of its site do
+        (Here((HAND,), older=(SLAVE_HALF,)), "", Reach(direct=(HAND,), absent=(TIP,))),
+        # and may run elsewhere where none does
+        (Here((HAND,)), "", Reach(direct=(HAND,), far=(TIP,))),
+        (Here((HAND,)), "master", Reach(direct=(HAND,), by_console=(TIP,))),
+        (Here((HAND,), networked=(TIP,)), "", Reach(direct=(HAND,), by_console=(TIP,))),
+        # one with a network endpoint belongs here if a launcher of its site does
+        (Here((HAND,), older=(SLAVE_HALF,), networked=(TIP,)), "", Reach(direct=(HAND,), by_console=(TIP,))),
+        (Here((HAND,), older=("launcher@slave",), networked=(TIP,)), "", Reach(direct=(HAND,), absent=(TIP,))),
         # one of an older version runs and has no inlet
-        (Here((HAND,), older=(TIP,)), "", Reach((HAND,), (), (TIP,), ())),
-        (Here((HAND, LINK), older=(TIP,)), "", Reach((HAND,), (), (TIP,), ())),
-        # the hand is never behind the link
-        (Here((TIP, LINK)), "", Reach((TIP,), (), (), (HAND,))),
-        (Here((TIP, LINK), networked=(HAND,)), "", Reach((TIP,), (), (HAND,), ())),
-        (Here((TIP, LINK), networked=(HAND,)), "master", Reach((), (TIP,), (HAND,), ())),
-        (Here(), "", Reach((), (), (), (HAND, TIP))),
-        (Here(), "slave", Reach((), (), (), (TIP,))),
-        (Here(), "master", Reach((), (), (TIP,), (HAND,))),
+        (Here((HAND,), older=(TIP,)), "", Reach(direct=(HAND,), by_console=(TIP,))),
+        (Here((HAND, LINK), older=(TIP,)), "", Reach(direct=(HAND,), by_console=(TIP,))),
+        # a hand that is not here, as at the instrument's machine, is reached through the instrument
+        (Here((TIP,)), "", Reach(direct=(TIP,), by_instrument=(HAND,))),
+        (Here((TIP,), older=(SLAVE_HALF, "launcher@slave")), "slave", Reach(direct=(TIP,), by_instrument=(HAND,))),
+        # where other nodes of its site are here, the link's too, it does not run
+        (Here((TIP, LINK)), "", Reach(direct=(TIP,), absent=(HAND,))),
+        (Here((TIP,), older=(MASTER_HALF,)), "slave", Reach(direct=(TIP,), absent=(HAND,))),
+        (Here((TIP, LINK), networked=(HAND,)), "", Reach(direct=(TIP,), by_instrument=(HAND,))),
+        # the instrument does not run either, and its other nodes do
+        (Here(older=("launcher@slave",)), "", Reach(absent=(TIP,), far=(HAND,))),
+        (Here(older=(SLAVE_HALF,)), "slave", Reach(absent=(TIP,), far=(HAND,))),
+        (Here(older=("launcher@master",)), "", Reach(absent=(HAND,), far=(TIP,))),
+        # nothing runs here
+        (Here(), "", Reach(absent=(HAND, TIP))),
+        (Here(), "slave", Reach(absent=(TIP,), far=(HAND,))),
+        (Here(), "master", Reach(by_console=(TIP,), absent=(HAND,))),
     ],
 )
 def test_each_device_is_reached_the_shortest_way(
     monkeypatch: pytest.MonkeyPatch, here: Here, site: str, way: Reach
 ) -> None:
-    found = reach(monkeypatch, here, site)
-    assert Reach(*(tuple(sorted(nodes, reverse=True)) for nodes in found)) == way
+    assert reach(monkeypatch, here, site) == way
 
 
 @pytest.mark.parametrize(
@@ -82,13 +95,13 @@ def test_each_device_is_reached_the_shortest_way(
 def test_only_the_devices_that_a_target_means_are_reached(
     monkeypatch: pytest.MonkeyPatch, target: str, direct: tuple[str, ...]
 ) -> None:
-    assert reach(monkeypatch, Here((HAND, TIP, LINK)), "", target) == Reach(direct, (), (), ())
+    assert reach(monkeypatch, Here((HAND, TIP, LINK)), "", target) == Reach(direct)
 
 
 def test_a_tip_of_the_files_for_two_machines_is_never_called_absent(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(emergency_stop, "bound_by", lambda _: None)
     assert LocalRig.packaged(two_machines=False, seen=Look()).reach("*", "").absent == (HAND, TIP)
-    assert LocalRig.packaged(two_machines=True, seen=Look()).reach("*", "") == Reach((), (), (TIP,), (HAND,))
+    assert LocalRig.packaged(two_machines=True, seen=Look()).reach("*", "") == Reach(by_console=(TIP,), absent=(HAND,))
 
 
 @pytest.mark.parametrize("site", ["", "master", "slave"])
@@ -117,6 +130,7 @@ def test_who_cannot_see_every_process_does_not_say_that_a_device_is_absent(
     blind, plain = (reach(monkeypatch, Here(seen=Look((), text)), site) for text in ("no /proc", ""))
     assert blind == plain._replace(absent=(), unknown=plain.absent)
     assert TIP in blind.unknown
+    assert plain.far == blind.far
 
 
 @pytest.mark.parametrize("user", [None, os.geteuid(), 0])

@@ -218,7 +218,8 @@ def pushed(bench: Any, node: MasterController) -> Any:
     """Push for a while in free space, and give the last reference of the tip."""
     for _ in range(200):
         hand = tick(bench, node, 1.0)
-        fields = answer_fields(0.0, hand.seq, hand.t_ns)
+        place_m = (0.0, 0.0, 0.0 - node.memory.tip_reference_m)
+        fields = answer_fields(0.0, hand.seq, hand.t_ns, position_m=place_m)
         node.on_message(bench.received("teleop/backward", "controller@slave", **fields))
     last = bench.take("teleop/forward")[-1].position_m[2]
     assert last < -2e-9
@@ -290,7 +291,8 @@ def test_hand_is_where_it_would_be_if_no_sample_had_been_late(bench_of: Any, law
             waits_ns = {1: PERIOD_NS + late_ns, 2: PERIOD_NS - late_ns // 2, 3: PERIOD_NS - late_ns + late_ns // 2}
             where_m = (0.0, 0.0, -node.memory.reference.position_m)
             hand = tick(bench, node, 1.0, waits_ns.get(number % 5, PERIOD_NS), position_m=where_m)
-            fields = answer_fields(0.0, hand.seq, hand.t_ns, law=law)
+            place_m = (0.0, 0.0, 0.0 - node.memory.tip_reference_m)
+            fields = answer_fields(0.0, hand.seq, hand.t_ns, law=law, position_m=place_m)
             node.on_message(bench.received("teleop/backward", "controller@slave", **fields))
             # and one command a tick, whether it is answered or none later
             (command,) = bench.take("haptic/command")

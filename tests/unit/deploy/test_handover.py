@@ -189,7 +189,7 @@ def test_a_session_keeps_its_exit_code_and_ends_with_its_files_and_the_page(
     assert capsys.readouterr().out.splitlines() == [
         "the recording is out/fig12-7/session.mcap",
         "./out/fig12-7 has summary.json, session.mcap",
-        "page: http://127.0.0.1:8650/#token",
+        f"page: http://127.0.0.1:8650/; `{handover.ADDRESSES}` prints the address with its token",
         handover.NEXT,
     ]
     assert [path.name for path in handover.OUT.iterdir()] == ["fig12-7"]

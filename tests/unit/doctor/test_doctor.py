@@ -430,6 +430,18 @@ def test_a_project_that_is_not_installed(monkeypatch: pytest.MonkeyPatch) -> Non
     judged(finding, "problem", "pip install -e .")
 
 
+def test_a_rig_that_is_none_is_an_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("TELENANO_RUNTIME_DIR", str(tmp_path))
+    given(monkeypatch)
+    # The option sets the variable for the rest of the process.
+    monkeypatch.setenv("TELENANO_RIG", "nosuch")
+    code, _, err = run("doctor", "--rig", "nosuch")
+    assert code != 0
+    assert "there is no rig nosuch" in err
+    (tmp_path / "rig-nosuch").mkdir()
+    assert run("doctor", "--rig", "nosuch")[0] == 0
+
+
 def test_warming_simulates_each_law_once(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     from telenano.lockstep import simulation
 

@@ -19,7 +19,7 @@ SLAVE = ("afm_node@slave", "controller@slave")
 LINK = "delay_node@slave"
 DEADLINE_TICKS = round(READY_DEADLINE_S * SECOND_NS / TICK_NS)
 WITHOUT_INPUT = health("controller@master", inputs=(row("teleop/backward", received=False),))
-ARM = "a tip that has retracted stays retracted until `telenano session arm --target afm_node --site "
+ARM = "a tip that has retracted stays retracted until `telenano session arm --site "
 
 
 def master(duration_s: float = 2.0) -> Rig:

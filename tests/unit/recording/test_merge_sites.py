@@ -53,7 +53,7 @@ def test_each_message_is_there_once_on_the_masters_clock(tmp_path: Path) -> None
     tip = [("afm/state", "afm_node@slave", seq, BEGAN + AHEAD + seq * MS + MS // 2) for seq in range(10)]
     here = [("law/status", "controller@slave", seq, BEGAN + AHEAD + seq * MS) for seq in range(4)]
     # of the offsets that which is known best counts
-    master = write(tmp_path, "recorder@master", hand + both, ((7.0, 1.0), (2.0, 0.001), (9.0, 0.5)))
+    master = write(tmp_path, "recorder@master", hand + both, ((2.7, 1.0), (2.0, 0.001), (1.9, 0.5)))
     slave = write(tmp_path, "recorder@slave", tip + here, ())
     target = tmp_path / "both.mcap"
     result = merge_sites([master, slave], target, same_session=True)

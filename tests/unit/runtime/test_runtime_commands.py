@@ -679,7 +679,8 @@ def test_a_command_is_obeyed_while_it_is_valid(age_s: float, keys: dict[str, Any
     if not obeyed:
         assert ("expired: it was sent" in text) == (age_s > 0.0)
         assert ("cannot be shown to be fresh: the clock of console@master" in text) == (age_s < 0.0)
-        said = {"command": "arm", "expired": True, "sent_t_ns": node.header["t_ns"]}
+        said = {"command": "arm", "target": "controller", "giver": "console@master", "expired": True}
+        said |= {"sent_t_ns": node.header["t_ns"]}
         assert node.data == [{**said, "latch": node.handler.latch.quotation, "latched": False}]
 
 

@@ -48,7 +48,8 @@ def test_only_allowed_addresses_and_names_are_admitted() -> None:
 
 
 @pytest.mark.parametrize(
-    "origin", ["", "null", "http://evil.example", "http://127.0.0.1:1", "http://127.0.0.1:8650.evil"]
+    "origin",
+    ["", "null", "http://evil.example", "http://127.0.0.1:1", "http://127.0.0.1:8650.evil", "https://127.0.0.1:8650"],
 )
 def test_a_page_of_another_origin_is_not_admitted(origin: str) -> None:
     assert not Access.made().admits_origin(origin, "127.0.0.1:8650")
@@ -56,6 +57,8 @@ def test_a_page_of_another_origin_is_not_admitted(origin: str) -> None:
 
 def test_the_own_page_is_admitted() -> None:
     assert Access.made().admits_origin("http://127.0.0.1:8650", "127.0.0.1:8650")
+    assert Access.made().admits_origin("https://rig.example", "rig.example", encrypted=True)
+    assert not Access.made().admits_origin("http://rig.example", "rig.example", encrypted=True)
 
 
 def test_pages_of_other_origins_are_admitted_by_name_alone() -> None:

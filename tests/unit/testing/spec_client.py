@@ -110,23 +110,30 @@ class Account:
     """The table "Sequence: gaps and restarts" for one topic and source."""
 
     def __init__(self) -> None:
-        self.last: tuple[int, int] | None = None
+        self.last: tuple[int, int, int | None] | None = None
+        self.met: set[int] = set()
         self.missing: set[int] = set()
         self.lost = 0
 
-    def record(self, seq: int, t_ns: int) -> str:
+    def record(self, seq: int, t_ns: int, run: int | None = None) -> str:
         """Give the row of the table that a message falls under."""
-        if self.last is None or seq == self.last[0] + 1:
-            self.last = (seq, t_ns)
+        if self.last is None:
+            self.last = (seq, t_ns, run)
             return "next"
-        if seq > self.last[0]:
-            self.missing |= set(range(self.last[0] + 1, seq))
-            self.lost += seq - self.last[0] - 1
-            self.last = (seq, t_ns)
-            return "gap"
-        if t_ns > self.last[1]:
-            self.missing, self.last = set(), (seq, t_ns)
+        last, last_ns, last_run = self.last
+        is_another = run is not None and last_run is not None and run != last_run
+        if is_another and run in self.met:
+            return "overtaken"
+        if is_another or (None in (run, last_run) and seq <= last and t_ns > last_ns):
+            if is_another and last_run is not None:
+                self.met.add(last_run)
+            self.missing, self.last = set(), (seq, t_ns, run)
             return "restart"
+        if seq > last:
+            self.missing |= set(range(last + 1, seq))
+            self.lost += seq - last - 1
+            self.last = (seq, t_ns, run)
+            return "next" if seq == last + 1 else "gap"
         if seq in self.missing:
             self.missing.remove(seq)
             self.lost -= 1

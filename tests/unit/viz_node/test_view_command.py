@@ -25,7 +25,7 @@ from telenano.console.emergency_stop import LocalRig
 from telenano.runtime.bus.local_endpoint import estop_endpoint
 from telenano.runtime.loop.healthcheck import endpoint_of, receive_health
 from telenano.serving.config import ViewConfig
-from telenano.serving.serve import Tls, announced, bind, check_exposure, page_folder
+from telenano.serving.serve import COMMAND_VARIABLE, Tls, announced, bind, check_exposure, page_folder
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire.errors import ConfigError, RecordingError, TelenanoError
 from telenano.wire.nodes import DEVICES, PAGE
@@ -65,6 +65,12 @@ def test_tokens_are_shown_on_a_terminal_and_nowhere_else(monkeypatch: pytest.Mon
         # for who asks in another terminal
         assert stat.S_IMODE(file.stat().st_mode) == 0o600
     assert list(runtime.iterdir()) == []
+    shown.clear()
+    # The terminal of a container is its log.
+    monkeypatch.setenv(COMMAND_VARIABLE, "docker compose exec viz_node telenano view --addresses")
+    with announced(addresses, shown.append):
+        assert "secret" not in "".join(shown)
+        assert "`docker compose exec viz_node telenano view --addresses` prints it" in shown[1]
 
 
 # where the page is served, as the command line leaves it

@@ -57,7 +57,7 @@ def check_header(topic: str, payload: bytes, result: Message | WireError) -> Non
     """Check that a header which is found without an error is that of the message."""
     if topic in TOPICS and (header := sound_header(topic, payload)) is not None:
         assert isinstance(result, Message)
-        assert header == (result.seq, result.t_ns, result.src)
+        assert header == (result.seq, result.t_ns, result.src, result.run)
 
 
 def check(topic: str, payload: bytes) -> None:

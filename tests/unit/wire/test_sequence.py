@@ -178,3 +178,80 @@ def test_what_was_held_back_for_less_than_a_second_is_late_however_long_it_is() 
     tracker.accept(0, 0)
     tracker.accept(900, 900 * 10**6)
     assert {tracker.accept(seq, seq * 10**6) for seq in range(1, 900)} == {Arrival.LATE}
+
+
+class Truth:
+    """A publisher's processes as they are: whatever a reader gets of them, its account is that of the sets of numbers.
+
+    A process is told by its run alone: their stamps may overlap, go back, or be equal.
+    """
+
+    def __init__(self, rng: random.Random, processes: int) -> None:
+        self.received: list[tuple[int, int, int]] = []
+        self.lost = 0
+        for run in range(processes):
+            sent = rng.randint(1, 60)
+            # A process may be met late, and a carrier may be away in the middle of its numbers.
+            first, gone = rng.randint(0, sent - 1), range(*sorted(rng.choices(range(sent + 1), k=2)))
+            kept = [seq for seq in range(first, sent) if seq not in gone and rng.random() < 0.9]
+            if not kept:
+                continue
+            began_ns = rng.choice((0, 10**9, 10**10, -(3 * 10**10)))
+            messages = [(seq, 10**12 + began_ns + seq * 1000, run) for seq in kept]
+            self.lost += max(kept) + 1 - len(kept) - (min(kept) if not self.received else 0)
+            doubled = [one for one in messages for _ in range(rng.choice((1, 1, 2)))]
+            # What overtakes the first one that is received of all is a repetition to a reader.
+            shuffled = sorted(doubled[1:], key=lambda one: one[0] + rng.randint(0, 4))
+            self.received += [doubled[0], *shuffled]
+
+
+@pytest.mark.check("takes 0.6 s")
+@settings(max_examples=500)
+@given(st.integers(0, 2**32), st.integers(1, 5))
+def test_with_its_run_every_process_is_counted_from_0_whatever_its_clock(seed: int, processes: int) -> None:
+    truth = Truth(random.Random(seed), processes)
+    tracker = SequenceTracker(counts_heads=True)
+    seen = [tracker.accept(*one) for one in truth.received]
+    runs = list(dict.fromkeys(run for *_, run in truth.received))
+    assert tracker.lost == truth.lost
+    assert (tracker.restarts, seen.count(Arrival.RESTART)) == (max(0, len(runs) - 1),) * 2
+    assert tracker.received == len({one[::2] for one in truth.received})
+
+
+def test_a_node_that_meets_a_process_anew_has_lost_nothing_of_it() -> None:
+    """A console that is started again has sent three copies before the node is connected."""
+    tracker = SequenceTracker()
+    tracker.accept(0, 10, 7)
+    tracker.accept(1, 11, 7)
+    assert tracker.accept(3, 20, 8) is Arrival.RESTART
+    assert (tracker.lost, tracker.gaps) == (0, 0)
+
+
+def test_a_process_whose_clock_was_set_back_is_heard_from_its_first_message_on() -> None:
+    tracker, minute_ns = SequenceTracker(), 60 * 10**9
+    assert {tracker.accept(seq, minute_ns + seq, 7) for seq in range(100)} == {Arrival.NEXT}
+    assert [tracker.accept(seq, seq, 8) for seq in range(3)] == [Arrival.RESTART, Arrival.NEXT, Arrival.NEXT]
+    # and what a slow way delivers of the process before is late, not a restart
+    assert tracker.accept(100, minute_ns + 100, 7) is Arrival.LATE
+    assert tracker.accept(3, 3, 8) is Arrival.NEXT
+    assert (tracker.restarts, tracker.lost) == (1, 0)
+
+
+def test_the_end_of_a_link_ends_no_numbers_but_shows_what_did_not_arrive() -> None:
+    tracker = SequenceTracker(counts_heads=True)
+    for seq in range(5):
+        tracker.accept(seq, 10 + seq, 7)
+    assert tracker.finish(7, ended=False) == 2
+    # what it did not carry while it was away is a gap, and nobody was restarted
+    assert tracker.accept(20, 40, 7) is Arrival.AFTER_GAP
+    assert (tracker.lost, tracker.gaps, tracker.restarts, tracker.last_gap) == (15, 2, 0, (7, 19))
+
+
+def test_the_end_of_a_process_of_which_nothing_was_received_counts_all_of_it() -> None:
+    tracker = SequenceTracker(counts_heads=True)
+    tracker.accept(0, 10, 7)
+    assert (tracker.finish(1, 7), tracker.finish(4, 8)) == (0, 4)
+    assert (tracker.lost, tracker.restarts) == (4, 1)
+    # the end of an earlier process is known already
+    assert tracker.finish(9, 7) == 0
+    assert tracker.accept(0, 5, 9) is Arrival.RESTART

@@ -15,6 +15,8 @@ from telenano_devices.controllers.piezo_calibration import ControllerCalibration
 from telenano_devices.controllers.request_answer import Cut, Incoming, Talk
 
 _MS = 1_000_000
+# Greatest speed towards the sample, as a multiple of that of the guard: its steps and those of a cycle do not coincide.
+_SLEW = 2.0
 
 
 K = TypeVar("K", bound=ControllerCalibration)
@@ -105,8 +107,19 @@ class RequestDriver(TcpDriver[K]):
         return 0.0 if self._attended else self.calibration.heartbeat_s
 
     def wanted_z_m(self) -> float:
-        """Return the z to send now [m]: that of the safe state until the node's guard has retracted the tip too."""
-        return self.calibration.z_m(self._base_m) if self._released else self.calibration.z.retract_m
+        """Return the z to send now [m]: that of the safe state until the node's guard has retracted the tip too.
+
+        Towards the sample it goes on from the z sent last, no faster than twice as fast as the guard lets the base go,
+        whoever commands it: a tip that is found further away than its driver is asked to be does not jump.
+        """
+        if not self._released:
+            return self.calibration.z.retract_m
+        wanted_m, towards = self.calibration.z_m(self._base_m), self.calibration.z.towards_sample
+        if not self._history:
+            return self.calibration.z.retract_m
+        sent_ns, sent_m = self._history[-1]
+        reach_m = _SLEW * self._limits.base_speed_m_per_s * max(self._now_ns() - sent_ns, 0) * 1e-9
+        return wanted_m if towards * (wanted_m - sent_m) <= reach_m else sent_m + towards * reach_m
 
     def begin_cycles(self, identity: str) -> None:
         """Mark the controller as identified, set up and retracted, so that cycles may begin."""

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import Any
 
 from telenano.devices import HandleAbility, HandleFlag
-from telenano.extend.hands import MODE_OFF, MODE_POSITION, DriveCommand
+from telenano.extend.hands import MODE_OFF, MODE_POSITION, DeviceReading, DriveCommand
 from telenano.hand import MotorParams
 from telenano.sections import HapticConfig
 from telenano_devices.handle.firmware import BoardIdentity, BoardSample, FirmwareCore
@@ -126,11 +126,16 @@ class EmulatedHandle:
                 time_us=self.time_us,
                 position=POSITION_ZERO + round(reading.position_m / M_PER_COUNT),
                 force=FORCE_ZERO + round((reading.operator_force_n + self._load_n) / N_PER_COUNT),
-                sensed_drive=max(-_FORCE_MAX, min(round(reading.motor_force_n / self._drive_n), _FORCE_MAX)),
+                sensed_drive=max(-_FORCE_MAX, min(self._sensed_drive(reading), _FORCE_MAX)),
                 supply_10mv=_SUPPLY_10MV,
                 flags=flags,
             )
         )
+
+    def _sensed_drive(self, reading: DeviceReading) -> int:
+        """Return the drive that the board finds by its current sensor: the voltage across the armature [counts]."""
+        back_v = reading.velocity_m_per_s / (self._motor.speed_gain_rad_per_s_v * self._motor.screw_m_per_rad)
+        return round((reading.motor_voltage_v - back_v) / V_PER_COUNT)
 
     @property
     def position_m(self) -> float:

@@ -255,6 +255,8 @@ def list_people(folder: FolderArgument, as_json: JsonOption = False) -> None:
     with report_errors(as_json):
         from telenano_lab.experiments.people import People, shown
 
+        if not folder.exists():
+            raise ConfigError(f"{folder}: there is no such folder of an experiment")
         rows = shown(People(folder).known)
     nobody = "nobody is known yet: `telenano experiment people add` adds a participant"
     print_answer({"participants": rows}, rows or nobody, as_json=as_json)

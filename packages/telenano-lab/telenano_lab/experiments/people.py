@@ -63,6 +63,8 @@ class People:
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / NAME
+        if folder.exists() and not folder.is_dir():
+            raise ConfigError(f"{folder}: is a file, and the participants belong to the folder of an experiment")
         try:
             self.known = self._parsed(self.path.read_bytes() if self.path.exists() else None)
         except OSError as error:

@@ -102,8 +102,7 @@ class RecordedTrial:
         return self._messages[topic]
 
     def _time_s(self, message: RecordedMessage) -> float:
-        stamp = np.array([message.publish_ns], dtype=np.int64)
-        return 1e-9 * float(self._timeline.times_ns(message.src, stamp)[0] - self.start_ns)
+        return 1e-9 * float(self._timeline.time_ns(message) - self.start_ns)
 
     def _is_fault(self, time_s: float, event: Any) -> bool:
         return event.level == "error" and 0.0 <= time_s <= self.duration_s
@@ -185,8 +184,8 @@ class _Rows:
         message_list = list(messages)
         self.src = message_list[0].src if message_list else ""
         self.columns = columns_of(message_list)
-        stamps = np.array([message.publish_ns for message in message_list], dtype=np.int64)
-        self.times_ns = timeline.times_ns(self.src, stamps)
+        stamps = np.array([(message.publish_ns, message.log_ns) for message in message_list], dtype=np.int64)
+        self.times_ns = timeline.times_ns(self.src, *stamps.reshape(-1, 2).T)
 
     def times_s(self, start_ns: int) -> npt.NDArray[np.float64]:
         """Return the sending times relative to start_ns [s], shape (n,)."""

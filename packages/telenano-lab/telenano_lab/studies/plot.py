@@ -77,11 +77,11 @@ def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
     timeline = Timeline(recording, quick=True)
     courses = {name: _Course() for name in names}
     for topic, fields in fields_of.items():
-        for piece in recording.column_pieces(topic, ("publish_ns", "src", *fields)):
+        for piece in recording.column_pieces(topic, ("publish_ns", "log_ns", "src", *fields)):
             sent_ns = piece["publish_ns"].astype(np.int64)
             for src in set(piece["src"]):
                 own = piece["src"] == src
-                sent_ns[own] = timeline.times_ns(src, sent_ns[own])
+                sent_ns[own] = timeline.times_ns(src, sent_ns[own], piece["log_ns"][own])
             for field in fields:
                 if piece[field].dtype == object:
                     raise RecordingError(f"{path}: {topic}: {field} is text, which cannot be drawn")

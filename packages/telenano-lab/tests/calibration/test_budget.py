@@ -104,8 +104,8 @@ def test_another_clock_of_the_slave_moves_the_two_ways_against_each_other(
     before = delay_budget(recording, session)
     times_ns = Timeline.times_ns
 
-    def shifted(self: Any, src: str, stamps_ns: Any) -> Any:
-        return times_ns(self, src, stamps_ns) + 1_000_000 * src.endswith("@slave")
+    def shifted(self: Any, src: str, stamps_ns: Any, heard_ns: Any = None) -> Any:
+        return times_ns(self, src, stamps_ns, heard_ns) + 1_000_000 * src.endswith("@slave")
 
     monkeypatch.setattr(Timeline, "times_ns", shifted)
     after = delay_budget(recording, session)

@@ -87,6 +87,12 @@ def test_of_an_experiment_that_nobody_is_known_of_it_is_said(file: Path, tmp_pat
     assert json.loads(telenano("people", "list", tmp_path / "study", "--json").stdout) == {"participants": []}
 
 
+def test_a_file_or_a_missing_folder_has_no_participants(file: Path, tmp_path: Path) -> None:
+    for folder, told in ((file, "is a file"), (tmp_path / "nowhere", "there is no such folder")):
+        found = telenano("people", "list", folder, code=2)
+        assert told in found.stderr
+
+
 def test_a_torn_journal_is_told(file: Path, tmp_path: Path) -> None:
     out = tmp_path / "study"
     telenano("run", file, "--out", out, "--participant", "P01")

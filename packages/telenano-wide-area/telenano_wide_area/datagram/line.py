@@ -21,6 +21,8 @@ from telenano.timing import STEP_NS, ClockLine
 _HALF_WINDOW_NS = 50_000_000
 # The variation of the delay without queues is that of the calmest quarter of this number of half windows.
 _VARIATIONS = 16
+# A queue is told after this time [ns], in which a route that has become longer shows itself.
+_SETTLED_NS = 400_000_000
 # A half window counts if it had at least this number of delays.
 _FEWEST_SEEN = 3
 # The least delay represents a whole span; by the drift of usual clocks another one in it may be less [s/s].
@@ -93,7 +95,9 @@ class Line:
         self._slope = self._expected_slope = self._there = self._back = 0.0
         self._least_both = 0
         self._lowest = self._before = (0.0, 0.0)
-        self._most_back = 0.0
+        # Standing queues of the direction to here that are not settled yet: end of their half window, and length [ns].
+        self._unsettled: deque[tuple[float, float]] = deque()
+        self._told_back = 0.0
         self._highest, self._last, self._seen = (0.0, 0.0), 0.0, 0
         # The variation of the delay of each direction within the newest half windows.
         self._varied: deque[tuple[float, float]] = deque(maxlen=_VARIATIONS)
@@ -125,9 +129,12 @@ class Line:
         )
 
     def take_back(self) -> Standing | None:
-        """Return the greatest standing queue of the direction to here since the last call."""
-        most_ns, self._most_back = round(self._most_back), 0.0
-        return None if self.back_ns is None else self._within(1, max(self.back_ns, most_ns))
+        """Return the greatest standing queue of the direction to here that has settled since the last call.
+
+        A route that has just become longer looks like a queue at first, so what stood is told `_SETTLED_NS` later.
+        """
+        most_ns, self._told_back = round(self._told_back), 0.0
+        return None if self.back_ns is None else self._within(1, most_ns)
 
     @property
     def there_variation_ns(self) -> int:
@@ -207,7 +214,7 @@ class Line:
         self._lowest, self._before = (
             (max(0.0, there - there_ns), max(0.0, back - back_ns)) for there, back in (self._lowest, self._before)
         )
-        self._most_back = max(0.0, self._most_back - back_ns)
+        self._unsettled = deque((end, max(0.0, back - back_ns)) for end, back in self._unsettled)
 
     def _keep(self, least: Least, at: int) -> None:
         self._now = least if self._now is None else self._now.and_least(least)
@@ -261,7 +268,9 @@ class Line:
             if self._seen >= _FEWEST_SEEN:
                 self._varied.append((self._highest[0] - self._lowest[0], self._highest[1] - self._lowest[1]))
             if self._windows > 1:
-                self._most_back = max(self._most_back, min(self._before[1], self._lowest[1]))
+                self._unsettled.append((at, min(self._before[1], self._lowest[1])))
+            while self._unsettled and at - self._unsettled[0][0] >= _SETTLED_NS:
+                self._told_back = max(self._told_back, self._unsettled.popleft()[1])
             self._before, self._lowest, self._highest = self._lowest, (there, back), (there, back)
             self._windows, self._seen = self._windows + 1, 1
         else:

@@ -283,12 +283,12 @@ def read_course(path: Path) -> Trajectory:
     hand = {name: values[running] for name, values in hand.items()}
     tip = recording.columns(
         "afm/state", (
-        "t_ns", "base_position_m.2", "tip_force_n.2", "separation_m", "in_contact", "mode",
+        "t_ns", "log_ns", "base_position_m.2", "tip_force_n.2", "separation_m", "in_contact", "mode",
     ))  # fmt: skip
     command = recording.columns("haptic/command", ("t_ns", "position_m.2", "force_n.2"))
     # The value of a tick is the last message before the next one.
     timeline = Timeline(recording)
-    tip["t_ns"] = timeline.times_ns("afm_node@slave", tip["t_ns"].astype(np.int64))
+    tip["t_ns"] = timeline.times_ns("afm_node@slave", tip["t_ns"].astype(np.int64), tip["log_ns"])
     ends_ns = np.append(hand["t_ns"][1:], hand["t_ns"][-1] + 1_000_000)
     at_tip = np.maximum(np.searchsorted(tip["t_ns"], ends_ns) - 1, 0)
     at_command = np.maximum(np.searchsorted(command["t_ns"], ends_ns) - 1, 0)
