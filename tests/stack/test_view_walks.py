@@ -94,8 +94,9 @@ def _walk(rig: Rig, page: Page, seed: int) -> None:
             return
         says, pressed = page.page.inner_text("#next-says"), page.value(_PRESS)
         trace.append(f"{says} [{pressed}]")
-        assert presses < MOST_PRESSES, trace
-        page.page.wait_for_timeout(1200)
+        assert presses < MOST_PRESSES, "\n".join(trace)
+        # a person looks what became of it: a hand that is lowered is on its way for a second or two
+        page.page.wait_for_timeout(2000)
 
 
 @pytest.mark.check("a rig and a browser")
