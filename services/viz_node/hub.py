@@ -225,8 +225,9 @@ class Hub:
 
     async def _withdraw(self, commander: Commander) -> None:
         """Withdraw the tip after its holder has vanished, as after a lost hand, unless another party has control."""
-        number = self.desk.lease.number
-        send = partial(commander.send, "stop", TIP, {}, self.desk.is_to_withdraw, time.monotonic_ns(), "")
+        number, lost = self.desk.lease.number, self.desk.lease.lost
+        why = {"because": "who held control vanished while it pressed" if lost is None else lost.text}
+        send = partial(commander.send, "stop", TIP, why, self.desk.is_to_withdraw, time.monotonic_ns(), "")
         with contextlib.suppress(TelenanoError):
             await asyncio.wrap_future(in_thread(send))
             self.desk.note_withdrawn(number)

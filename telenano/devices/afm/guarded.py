@@ -91,11 +91,12 @@ class AfmMemory(msgspec.Struct, array_like=True):
 
 @dataclass(slots=True)
 class Step:
-    """One step: output of the guard, wanted position, length [s], measured sample, and inputs of a program.
+    """One step: inputs and output of the guard, wanted position, length [s], measured sample, inputs of a program.
 
     added_fields: keys of afm/state that the parts add. stage_limited: bits LATERAL_BY_* of the stage.
     """
 
+    asked: safety.SafetyInputs
     allowed: safety.SafetyOutputs
     wanted: Wanted[Any]
     elapsed_s: float
@@ -340,7 +341,7 @@ class GuardedInstrument:
             memory.guard = safety.found_at(memory.guard, memory.found_m)
         memory.away = asked.device_lost
         memory.guard, allowed = safety.safety_step(self._limits, memory.guard, asked, elapsed_s)
-        step = Step(allowed, wanted, elapsed_s)
+        step = Step(asked, allowed, wanted, elapsed_s)
         self.parts.prepare(step, memory)
         # A tapping tip vibrates until it is retracted: at rest it would lie on the sample, and push particles aside.
         if not step.follows and allowed.base_m <= self._limits.retract_position_m:

@@ -560,6 +560,19 @@ def answer_data(control: SessionControl) -> dict[str, Scalar]:
     return {**facts, **giver, **parameter_data(control.parameters)}
 
 
+def author_of(control: SessionControl) -> tuple[str, dict[str, Scalar]]:
+    """Return who gave a command and why, as a clause and as facts for the event of the act that it causes.
+
+    The reason is the parameter `because`, which a program states that commands by itself, for nobody in person.
+    """
+    why = control.parameters.get("because", "")
+    person = f" ({control.by})" if control.by else ""
+    facts: dict[str, Scalar] = {"author": control.src}
+    facts |= {"by": control.by} if control.by else {}
+    facts |= {"because": why} if why else {}
+    return f"asked by {control.src}{person}{f': {why}' if why else ''}", facts
+
+
 def stop_of(node: str, now_ns: int, token: Callable[[int], str] = OWN_MACHINE.token) -> SessionControl:
     """Return an emergency stop for a node (node@site) that no sender has sent, stamped `now_ns` [ns]."""
     src, number = f"estop@{site_of(node)}", token(12)
