@@ -12,12 +12,14 @@ from telenano.afm.felt import FeltState
 from telenano.afm.programs.runner import RunnerState
 from telenano.afm.step import LONGEST_STEP_NS, command_wait_ns
 from telenano.devices.afm.capabilities import refusal
+from telenano.devices.afm.guard_causes import cause_of
 from telenano.devices.afm.guarded import AfmMemory, GuardedInstrument, Step, line_fields, parts_of
 from telenano.devices.afm.instrument import pointed, reach_of, runner_of, sample_text
 from telenano.extend.instruments import AfmDriver
 from telenano.extend.programs import Wanted
 from telenano.extend.stage import Place
 from telenano.numerics.frames import to_paper_axis
+from telenano.runtime.loop.commands import author_of
 from telenano.runtime.loop.device_node import DeviceNode
 from telenano.runtime.loop.node import NodeContext
 from telenano.sections.afm_section import DRIVERS, AfmConfig
@@ -64,6 +66,10 @@ _ALARMING = (
     safety.REASON_DEVICE_LOST,
     safety.REASON_LATERAL_LIMIT,
 )
+
+
+# Reasons of acts that somebody else asked for.
+_ASKED = (safety.REASON_ESTOP, safety.REASON_HOLD_REQUESTED, safety.REASON_RETRACT_REQUESTED, safety.REASON_ARMED)
 
 
 class Way(NamedTuple):
@@ -121,6 +127,8 @@ class AfmNode(DeviceNode):
         self._reach = reach_of(config, driver)
         self._other_spring = False
         self._reported = (self._memory.guard.mode, self._memory.guard.reason)
+        # The command that is being carried out: it is the author of what the guard does in this step.
+        self._order: SessionControl | None = None
         # Fields of afm/state on the possible return in this step.
         self._way_back: dict[str, float] = {}
         self.state = "safe"
@@ -174,6 +182,7 @@ class AfmNode(DeviceNode):
         message = received.message
         if type(message) is AfmCommand:
             self._memory.command = message
+            self.freshness.arrived(message.hand_t_ns, received.received_ns)
             self._memory.disarmed = self._is_disarmed(message)
             if message.hand_armed is True and not self._memory.disarmed:
                 self._memory.followed, self._memory.followed_received_ns = message, received.received_ns
@@ -193,6 +202,13 @@ class AfmNode(DeviceNode):
         self._memory.due_ns = now_ns + self._period_ns
 
     def on_control(self, control: SessionControl) -> str:
+        self._order = control
+        try:
+            return self._carry_out(control)
+        finally:
+            self._order = None
+
+    def _carry_out(self, control: SessionControl) -> str:
         if control.command == "estop":
             self._step(self.clock.monotonic_ns(), self._command_age_s(), estop=True)
             return "emergency stop latched: the tip retracts and stays until armed"
@@ -409,7 +425,7 @@ class AfmNode(DeviceNode):
         self._memory.placed = step.follows if self._programs.name else safety.is_placed(step.allowed)
         self.publish("afm/state", **numbers, **step.fields(self._memory))
         self._instrument.parts.report(step, self._memory)
-        self._report_changes(step.allowed)
+        self._report_changes(step)
         if step.allowed.ended > safety.ENDED_THERE:
             self._report_ended(step.allowed)
         self._report_place(step.allowed.base_m)
@@ -432,7 +448,8 @@ class AfmNode(DeviceNode):
                 memory.pointer = memory.place
             programs.end()
 
-    def _report_changes(self, allowed: safety.SafetyOutputs) -> None:
+    def _report_changes(self, step: Step) -> None:
+        allowed = step.allowed
         if (allowed.mode, allowed.reason) == self._reported:
             return
         self._reported = (allowed.mode, allowed.reason)
@@ -446,7 +463,22 @@ class AfmNode(DeviceNode):
         elif (allowed.mode, allowed.reason) == (safety.MODE_FOLLOW, safety.REASON_ARMED) and self._memory.followed:
             way, facts = self._way_text(allowed)
             text += f"; {way}"
-        self.event("mode", level, text, mode=mode, reason=reason, base_position_m=allowed.base_m, **facts)
+        cause, values = self._cause_of(step)
+        text += f"; {cause}" if cause else ""
+        facts = {"mode": mode, "reason": reason, "base_position_m": allowed.base_m, **values, **facts}
+        self.event("mode", level, text, **facts)
+
+    def _cause_of(self, step: Step) -> tuple[str, dict[str, Any]]:
+        """Return who made the guard act, and the value that did, as a clause and as facts for the event."""
+        reason = step.allowed.reason
+        if reason in _ASKED and self._order is not None:
+            clause, facts = author_of(self._order)
+            # An arming is no act of the guard, and its sentence says where the tip goes.
+            return "" if reason == safety.REASON_ARMED else clause, facts
+        if reason in _ASKED and not self._programs.name and self._memory.followed is not None:
+            return "", {"author": self._memory.followed.src}
+        cause, values = cause_of(reason, step.asked, self._limits)
+        return cause, {"author": self.context.key, **values}
 
     @staticmethod
     def _mode_facts(allowed: safety.SafetyOutputs) -> dict[str, Any]:

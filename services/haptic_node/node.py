@@ -1,5 +1,6 @@
 """The haptic node: sets the pace of the rig, samples the operator's device, and guards it."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, NamedTuple
 
@@ -19,6 +20,7 @@ from telenano.hand import safety
 from telenano.hand.disturbances import DisturbedHaptic
 from telenano.hand.sim import SimulatedHaptic
 from telenano.numerics.frames import to_paper_axis, to_site_frame
+from telenano.runtime.loop.commands import author_of
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.device_node import DeviceNode, Parts
 from telenano.runtime.loop.node import NodeContext
@@ -96,10 +98,12 @@ class HapticNode(DeviceNode):
             self._memory.gate = int(Gate.REST)
         if isinstance(device, SimulatedHaptic) and device.about:
             self.event("node", "info", device.about)
-        self._command_is_new = False
+        self._command_is_new, self._command_age_s = False, math.inf
         self._ignored_force = False
         self._switch_pressed = False
         self._reported = (MODE_OFF, safety.REASONS[safety.REASON_COMMAND_STALE])
+        # The newest emergency stop, which is the author of the latch; None if it was the switch of the device.
+        self._stopped_by: SessionControl | None = None
         if device.report is not None:
             self.process_haptic_report(device.report)
         if caution := DRIVERS.caution(config.driver):
@@ -135,6 +139,7 @@ class HapticNode(DeviceNode):
             self._memory.command = received.message
             self._memory.command_received_ns = received.received_ns
             self._command_is_new = True
+            self.freshness.arrived(received.message.hand_t_ns, received.received_ns)
         elif type(received.message) is LinkDelay:
             self.freshness.record(received.message)
         elif isinstance(received.message, OperatorForce):
@@ -176,6 +181,7 @@ class HapticNode(DeviceNode):
             return "the operator's force profile has ended"
         if control.command == "estop":
             self._memory.estop_requested = True
+            self._stopped_by = control
             return "emergency stop latched: the motor is off until armed"
         if control.command == "arm":
             if self._switch_pressed:
@@ -238,6 +244,7 @@ class HapticNode(DeviceNode):
         self._waits_for = self._reason_to_wait()
         received_ns = memory.command_received_ns
         command_age_s = self.freshness.command_age_s(memory.command, received_ns, self.clock.now_ns())
+        self._command_age_s = command_age_s
         if self._command_is_new:
             self._command_is_new = False
             self.stale += command_age_s > self._limits.command_deadline_s
@@ -290,6 +297,7 @@ class HapticNode(DeviceNode):
     def process_haptic_report(self, report: HapticReport) -> None:
         """Process the report of a real device; its own emergency stop latches in this node."""
         self._memory.estop_requested |= report.estop_pressed
+        self._stopped_by = None if report.estop_pressed else self._stopped_by
         self.own_stops += report.estop_pressed and not self._switch_pressed
         self._switch_pressed = report.estop_pressed
         self.process_report(report, is_late=report.age_s > _FRESH_PERIODS * self.period_s)
@@ -304,13 +312,25 @@ class HapticNode(DeviceNode):
         if (applied.mode, text) == self._reported:
             return
         self._reported = (applied.mode, text)
-        self.event(
-            "mode",
-            "info" if reason == safety.REASON_NONE else "warning",
-            text,
-            mode=MODE_NAMES[applied.mode],
-            position_m=self._memory.position_m,
-        )
+        cause, values = self._cause_of(reason)
+        level = "info" if reason == safety.REASON_NONE else "warning"
+        facts = {"mode": MODE_NAMES[applied.mode], "reason": text, "position_m": self._memory.position_m, **values}
+        self.event("mode", level, f"{text} ({cause})" if cause else text, **facts)
+
+    def _cause_of(self, reason: int) -> tuple[str, dict[str, Any]]:
+        """Return who made the guard act, and the value that did, as a clause and as facts for the event."""
+        if reason == safety.REASON_ESTOP and self._stopped_by is not None:
+            return author_of(self._stopped_by)
+        if reason == safety.REASON_ESTOP:
+            return "pressed at the device", {"author": self.context.key}
+        facts = {"author": self.context.key}
+        if reason != safety.REASON_COMMAND_STALE:
+            return "", facts
+        age_s, limit_s = self._command_age_s, self._limits.command_deadline_s
+        if not math.isfinite(age_s):
+            return "none has come", {**facts, "limit_s": limit_s}
+        text = f"the newest one was {1e3 * age_s:.0f} ms old, and its limit is {1e3 * limit_s:.0f} ms"
+        return text, {**facts, "command_age_s": age_s, "limit_s": limit_s}
 
     def _reason_to_wait(self) -> str:
         """Return the reason why an impedance device must not be driven now; empty if it may be."""

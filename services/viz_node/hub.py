@@ -105,8 +105,8 @@ class Hub:
         self._forms: Mapping[str, Any] = {}
         self.hand = PageHand(open_hand)
         self._reads = ReadDesk(document)
-        # Time of the last transmission of changes to the pages [s].
-        self._sent_s = 0.0
+        # Times of the last transmission of changes to the pages, and to those of participants [s].
+        self._sent_s = self._sent_to_guests_s = 0.0
         self._feed = Feed()
         self._withdrawing: asyncio.Task[None] | None = None
         self._about: Mapping[str, Any] = {}
@@ -174,10 +174,13 @@ class Hub:
             self._about = about
             changes["source"] = about
         self._hold()
-        for picture in self._picture.take(changes, time.monotonic()):
-            self._offer(picture, self.sessions - self._recipients())
         now_s = time.monotonic()
         # A page that gets nothing for longer than this knows that its line is silent, and not the rig.
+        guests = self.sessions - self._recipients()
+        pictures = list(self._picture.take(changes, now_s))
+        for picture in pictures or ([{}] if now_s - self._sent_to_guests_s >= _BEAT_S else []):
+            self._sent_to_guests_s = now_s
+            self._offer({"at_s": now_s, **picture}, guests)
         if changes or now_s - self._sent_s >= _BEAT_S:
             self._sent_s = now_s
             self._offer({"at_s": now_s, **changes}, self._recipients())
@@ -222,8 +225,9 @@ class Hub:
 
     async def _withdraw(self, commander: Commander) -> None:
         """Withdraw the tip after its holder has vanished, as after a lost hand, unless another party has control."""
-        number = self.desk.lease.number
-        send = partial(commander.send, "stop", TIP, {}, self.desk.is_to_withdraw, time.monotonic_ns(), "")
+        number, lost = self.desk.lease.number, self.desk.lease.lost
+        why = {"because": "who held control vanished while it pressed" if lost is None else lost.text}
+        send = partial(commander.send, "stop", TIP, why, self.desk.is_to_withdraw, time.monotonic_ns(), "")
         with contextlib.suppress(TelenanoError):
             await asyncio.wrap_future(in_thread(send))
             self.desk.note_withdrawn(number)

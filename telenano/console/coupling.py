@@ -119,7 +119,7 @@ def couple(rig: RunningRig) -> str:
     if reason := states.objection():
         raise RigError(f"not coupled, and nothing has moved: {reason}")
     before_m = states.base_m
-    answer = rig.send(Command("stop", name_of(TIP)))
+    answer = rig.send(Command("stop", name_of(TIP), parameters={"because": "hand and tip are to be coupled again"}))
     if _LATCHED in answer:
         raise RigError(f"not coupled: {answer}, which `telenano session arm` releases")
     states.require(lambda: not states.follows, _RETRACT_S, f"the tip to be withdrawn ({answer})")

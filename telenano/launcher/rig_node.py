@@ -217,6 +217,9 @@ class RigNode(Node):
                 self.health.pop(node, None)
             at = datetime.fromtimestamp(change.since_ns * 1e-9).astimezone()
             text = f"{change.subject} has been silent since {at:%H:%M:%S}"
+            # A relay that is gone silences the other site, which may be as alive as this one.
+            alarm = self.supervisor.last_alarm_of_relay() if change.subject not in self.supervisor.nodes else ""
+            text += f" ({alarm})" if alarm else ""
             self.report("warning", text, about_node=change.subject, state="silent", silence_s=change.silence_s)
         elif change.first:
             self.report("info", f"{change.subject} is alive", about_node=change.subject, state="heard")

@@ -24,7 +24,14 @@ _REFUSAL_RETRY_NS = 5_000_000_000
 
 END = Command("stop", "*", (HAND,), required=False, deadline_ns=_STOP_ANSWER_NS)
 # Sent if the nodes keep running after the session: the tip must not stay on the sample without an operator.
-WITHDRAW_TIP = Command("stop", "afm_node", (TIP,), required=False, deadline_ns=_STOP_ANSWER_NS)
+WITHDRAW_TIP = Command(
+    "stop",
+    "afm_node",
+    (TIP,),
+    required=False,
+    deadline_ns=_STOP_ANSWER_NS,
+    parameters={"because": "the session has ended"},
+)
 
 
 class SessionNode(RigNode):

@@ -8,6 +8,7 @@ from telenano.launcher.watchdog import Finding, Watchdog
 from telenano.runtime.wiring.main import EXIT_BAD_START, EXIT_DIED
 from telenano.timing.clock import Clock
 from telenano.wire.messages import NodeHealth, Scalar
+from telenano.wire.nodes import RELAY, name_of
 
 # Called with level, sentence, and the facts of a session/event.
 Report = Callable[..., None]
@@ -84,6 +85,14 @@ class Supervisor:
         """Return the last lines of a node's log with the path of the file."""
         tail = self._children.log_tail(node) or "(it wrote nothing)"
         return f"last lines of {node}, from {self._children.log_path(node)}:\n{tail}"
+
+    def last_alarm_of_relay(self) -> str:
+        """Return the last log entry of the process that reaches the other site by a relay, if it is an alarm."""
+        for node in (beside for beside in self._beside if name_of(beside) == RELAY):
+            level, _, text = self._children.log_tail(node).rpartition("\n")[2].partition(": ")
+            if level in ("warning", "error"):
+                return f"{node}: {text}"
+        return ""
 
     def stop(self, observer: StopObserver | None = None) -> None:
         """Stop all nodes and report the progress to an observer, if any."""

@@ -67,6 +67,8 @@ def parameters(node: str, command: str) -> str:
         return "any: they are the data of the mark"
     if (node, command) == ("afm_node", "arm"):
         return f"{', '.join(f'`{key}`' for key in WORDS)}, or none; `place` is `hand`"
+    if (node, command) == ("afm_node", "stop"):
+        return "`because`, or none: why a program withdraws the tip, which the event of the tip repeats"
     if command != "set":
         return "none"
     if node in WHOLE_SECTIONS:

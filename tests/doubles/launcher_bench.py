@@ -78,6 +78,7 @@ class FakeChildren:
     started: list[str] = field(default_factory=list)
     ended: dict[str, int] = field(default_factory=dict)
     killed: list[str] = field(default_factory=list)
+    tails: dict[str, str] = field(default_factory=dict)
     stopped: int = 0
 
     def start(self, node: str) -> int:
@@ -93,7 +94,7 @@ class FakeChildren:
         self.ended[node] = -9
 
     def log_tail(self, node: str) -> str:
-        return f"the log tail of {node}"
+        return self.tails.get(node, f"the log tail of {node}")
 
     def log_path(self, node: str) -> Path:
         return Path("logs") / f"{node}.log"

@@ -1,5 +1,6 @@
 """A session over two sites, at the one that conducts it and at the one that follows."""
 
+from collections.abc import Sequence
 from io import StringIO
 from pathlib import Path
 
@@ -29,9 +30,9 @@ def master(duration_s: float = 2.0) -> Rig:
 class Slave(Bench):
     """The slave's site, with the link when it is there."""
 
-    def __init__(self) -> None:
+    def __init__(self, beside: Sequence[str] = ()) -> None:
         super().__init__("launcher@slave")
-        supervisor = Supervisor(self.clock, SLAVE, self.children)
+        supervisor = Supervisor(self.clock, SLAVE, self.children, beside=beside)
         self.site = SiteNode(self.context, supervisor, Path("nowhere"))
         self.begin(self.site)
 
@@ -160,6 +161,25 @@ def test_the_slave_keeps_its_nodes_and_conducts_nothing() -> None:
     assert rig.site.phase == "ending"
     rig.site.make_safe()
     assert rig.children.stopped == 1
+
+
+@pytest.mark.parametrize(
+    ("last", "alarm"),
+    [
+        ("warning: the relay r:1 cannot be reached or was lost: reset; trying again", " (relay@slave: the relay r:1 "),
+        ("warning: the relay r:1 cannot be reached or was lost: reset\ninfo: the relay r:1 is reached", ""),
+        ("", ""),
+    ],
+)
+def test_a_relay_that_is_gone_is_named_with_the_site_that_it_silences(last: str, alarm: str) -> None:
+    rig = Slave(beside=("viz_node@slave", "relay@slave"))
+    rig.children.tails["relay@slave"] = last
+    rig.receive_health(*SLAVE)
+    rig.tick_linked(5)
+    rig.tick(20 * 60)
+    text = rig.reports[-1]
+    assert text.startswith("the master's site has been silent since")
+    assert (alarm in text) if alarm else ("(" not in text)
 
 
 def test_the_slave_reports_the_masters_silence_and_return() -> None:
