@@ -105,8 +105,8 @@ class Hub:
         self._forms: Mapping[str, Any] = {}
         self.hand = PageHand(open_hand)
         self._reads = ReadDesk(document)
-        # Time of the last transmission of changes to the pages [s].
-        self._sent_s = 0.0
+        # Times of the last transmission of changes to the pages, and to those of participants [s].
+        self._sent_s = self._sent_to_guests_s = 0.0
         self._feed = Feed()
         self._withdrawing: asyncio.Task[None] | None = None
         self._about: Mapping[str, Any] = {}
@@ -174,10 +174,13 @@ class Hub:
             self._about = about
             changes["source"] = about
         self._hold()
-        for picture in self._picture.take(changes, time.monotonic()):
-            self._offer(picture, self.sessions - self._recipients())
         now_s = time.monotonic()
         # A page that gets nothing for longer than this knows that its line is silent, and not the rig.
+        guests = self.sessions - self._recipients()
+        pictures = list(self._picture.take(changes, now_s))
+        for picture in pictures or ([{}] if now_s - self._sent_to_guests_s >= _BEAT_S else []):
+            self._sent_to_guests_s = now_s
+            self._offer({"at_s": now_s, **picture}, guests)
         if changes or now_s - self._sent_s >= _BEAT_S:
             self._sent_s = now_s
             self._offer({"at_s": now_s, **changes}, self._recipients())

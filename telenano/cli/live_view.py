@@ -68,6 +68,8 @@ class LiveView(AbstractContextManager["LiveView"]):
         self._live = Live(console=console, auto_refresh=False, transient=True)
         self._ticks = 0
         self._last: Group | None = None
+        # A line that stays below the table, because the table covers what was printed before it.
+        self.footnote = ""
 
     def __enter__(self) -> Self:
         with contextlib.suppress(OSError):
@@ -82,7 +84,8 @@ class LiveView(AbstractContextManager["LiveView"]):
         """Redraw the rig, a few times a second; called at every tick."""
         self._ticks += 1
         if self._ticks % _REFRESH_TICKS == 1:
-            self._last = rig_picture(rig)
+            picture = rig_picture(rig)
+            self._last = Group(picture, Text(self.footnote, "yellow")) if self.footnote else picture
             self._update(self._last)
 
     def show(self, text: str) -> None:

@@ -12,6 +12,9 @@ from telenano.serving.serve import SOCKET_VARIABLE, addresses_of, announced, mis
 from telenano.wire.errors import TelenanoError
 from telenano.wire.nodes import PAGE, name_of
 
+# The beginning of the line that says why a rig has no page.
+NO_PAGE = "no view: "
+
 
 @contextlib.contextmanager
 def inherited_by_page(plan: Plan, show: Callable[[str], Any]) -> Iterator[dict[str, Inheritance]]:
@@ -23,11 +26,11 @@ def inherited_by_page(plan: Plan, show: Callable[[str], Any]) -> Iterator[dict[s
         inherited = {}
         try:
             if reason := _missing(plan):
-                show(f"no view: {reason}")
+                show(f"{NO_PAGE}{reason}")
             elif plan.page:
                 inherited = {PAGE: _bound(plan, show, stack)}
         except (TelenanoError, OSError) as error:
-            show(f"no view: {error}")
+            show(f"{NO_PAGE}{error}")
         yield inherited
 
 
@@ -42,7 +45,7 @@ def _bound(plan: Plan, show: Callable[[str], Any], stack: contextlib.ExitStack) 
     tls, access = config.tls(), config.access()
     bound = stack.enter_context(config.bind())
     addresses = addresses_of(bound, access, tls, config.name)
-    shown = {"view": addresses["operator"]} | {name: each for name, each in addresses.items() if name == "participant"}
+    shown = {"view" if name == "operator" else name: each for name, each in addresses.items()}
     stack.enter_context(announced(shown, show))
     tokens = {
         OPERATOR_VARIABLE: access.operator_token,

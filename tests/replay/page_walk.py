@@ -35,6 +35,9 @@ MOST_PRESSES = 8
 # A button is waited for as long as the slowest way of a tip, or a program, takes.
 PATIENCE_S = 60.0
 LAWS = ("virtual_impedance", "position_force", "wave", "passivity")
+# What may happen; the keys of a person are drawn more often.
+THINGS = ("withdraw", "stop", "stop one", "law", "press", "program", "reload", "silence", "couple", "lose", "restart")
+THINGS += ("keys",) * 3
 # A page that pressed and is not heard for so long has lost the hand, and its server withdraws the tip.
 SILENT_S = 1.2
 
@@ -63,7 +66,7 @@ class PageWalk:
         self.rig = WalkRig(self._draw.choice(LAWS), seed)
         self.trace: list[str] = []
         self._bundle, self._node = bundle, node
-        self._answer: dict[str, Any] | None = None
+        self._answers: list[dict[str, Any]] = []
         self._pending: Callable[[], bool] | None = None
         self._pending_s = 0.0
         self._force_n = 0.0
@@ -94,16 +97,15 @@ class PageWalk:
     def key(self, key: str) -> None:
         """Press a key at the page."""
         offer = self.seen.get("offer" if key == "n" else "other") or {}
-        self.trace.append(f"{self.rig.now_s:.1f} s: key {key}, {offer.get('label', 'nothing')}: {self.seen.get('says', '')}")
+        self.trace.append(
+            f"{self.rig.now_s:.1f} s: key {key}, {offer.get('label', 'nothing')}: {self.seen.get('says', '')}"
+        )
         self._say(key=key)
 
     def disturb(self) -> None:
         """Let one thing happen that the generator draws, and wait a little."""
         rig, draw = self.rig, self._draw
-        what = draw.choice(
-            ("withdraw", "stop", "stop one", "law", "press", "program", "reload", "silence", "keys", "keys", "keys")
-            + ("couple", "lose", "restart")
-        )
+        what = draw.choice(THINGS)
         self.trace.append(f"{rig.now_s:.1f} s: {what}")
         match what:
             case "withdraw":
@@ -133,7 +135,7 @@ class PageWalk:
                     self.key(draw.choice("nnnd"))
                     self.wait(draw.choice((0.1, 0.5, 2.0)))
             case "couple":
-                self._couple()
+                self.couple()
             case "lose":
                 device = draw.choice((HAND, TIP))
                 rig.lose(device, lost=True)
@@ -182,7 +184,8 @@ class PageWalk:
                 self.rig.page.publish("operator/force", force_n=(0.0, 0.0, -self._force_n))
             self.rig.wait(0.0125)
         if self._pending is not None and (self._pending() or self.rig.now_s > self._pending_s):
-            self._answer, self._pending = {"ok": self._pending(), "text": "done"}, None
+            self._answers.append({"ok": self._pending(), "text": "done"})
+            self._pending = None
         self._say()
 
     def _say(self, *, key: str = "", reload: bool = False) -> None:
@@ -190,16 +193,21 @@ class PageWalk:
         at_s = self.rig.now_s
         frames = []
         if reload:
-            self._pending, self._answer = None, None
-            frames.append({"k": "snapshot", "at_s": at_s, "role": "operator", "me": "walker", "window": "A", "commands": True})
+            self._pending = None
+            self._answers.clear()
+            frames.append(
+                {"k": "snapshot", "at_s": at_s, "role": "operator", "me": "walker", "window": "A", "commands": True}
+            )
             frames[0] |= {"hand": True, "streams": described(), "forms": {}, "source": {"kind": "live", "name": ""}}
             frames[0] |= self.rig.feed.snapshot()
         frames.append({"k": "tick", "at_s": at_s, **self.rig.feed.take()})
-        step: dict[str, Any] = {"now_ms": 1e3 * at_s, "frames": [base64.b64encode(msgpack.packb(each)).decode() for each in frames]}
+        step: dict[str, Any] = {
+            "now_ms": 1e3 * at_s,
+            "frames": [base64.b64encode(msgpack.packb(each)).decode() for each in frames],
+        }
         step |= {"key": key} if key else {}
         step |= {"reload": True} if reload else {}
-        if self._answer is not None:
-            step["answer"], self._answer = self._answer, None
+        step["answers"], self._answers = self._answers, []
         assert self._page.stdin is not None and self._page.stdout is not None
         self._page.stdin.write(json.dumps(step) + "\n")
         self._page.stdin.flush()
@@ -214,6 +222,10 @@ class PageWalk:
         """Do what a page asks of its server."""
         rig, parameters = self.rig, asked.get("parameters", {})
         self.trace.append(f"{rig.now_s:.1f} s: asks {asked['command']} {parameters}")
+        if self._pending is not None:
+            # The command that comes ends the one before it, whose page is told so.
+            self._answers.append({"ok": False, "text": "going back was ended"})
+            self._pending = None
         if asked["command"] == "arm":
             kinds = rig.arm(HAND, TIP)
             if parameters and "refused" not in kinds.values():
@@ -222,9 +234,9 @@ class PageWalk:
             self._pending_s = rig.now_s + 20.0
         else:
             rig.command(asked["command"], HAND if asked["command"] == "start" else asked["target"], **parameters)
-            self._answer = {"ok": True, "text": "done"}
+            self._answers.append({"ok": True, "text": "done"})
 
-    def _couple(self) -> None:
+    def couple(self) -> None:
         """Let hand and tip meet again, as the key of the page does, and note where that ended."""
         before = self.rig.states[-1].in_contact
         try:

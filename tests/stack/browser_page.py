@@ -130,7 +130,11 @@ class Page:
         self.page.locator(selector).evaluate("(field, text) => { field.value = text; }", text)
 
     def choose(self, selector: str, value: str) -> None:
-        self.page.locator(selector).select_option(value, force=True)
+        found = self.page.locator(selector)
+        if found.locator(f"option[value='{value}']").count() == 0:
+            # the last row of a short list shows the long one
+            found.select_option("…", force=True)
+        found.select_option(value, force=True)
 
     def press(self, down_mm: float) -> None:
         """Take hold of the virtual hand with the pointer, and mean to be so far below where the arm is."""

@@ -1,7 +1,7 @@
 """An emergency stop at either machine of two goes to both devices, and the command says of each what became of it.
 
-Every other state of the devices is in `tests/unit/console/test_who_is_asked.py`; that the stop crosses in every order is
-in `tests/replay/test_virtual_stop_crosses.py`.
+Every other state of the devices is in `tests/unit/console/test_who_is_asked.py`; that the stop crosses in every order
+is in `tests/replay/test_virtual_stop_crosses.py`.
 """
 
 import json

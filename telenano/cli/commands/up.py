@@ -39,7 +39,7 @@ from telenano.cli.output import (
 from telenano.cli.sweep import SEED
 from telenano.launcher.disk_space import check_room
 from telenano.launcher.fan_out import fan_out
-from telenano.launcher.page import inherited_by_page
+from telenano.launcher.page import NO_PAGE, inherited_by_page
 from telenano.launcher.plan import Plan, UpRequest, make_plan
 from telenano.launcher.rigs import own_rig
 from telenano.launcher.run import Outcome, default_folder, report_of, reserved_folder, run_rig, with_far_recording
@@ -134,10 +134,16 @@ def _run(
     _warn(request, plan)
     check_room(plan)
     view = _open_view(live=not (headless or quiet or as_json), quiet=quiet or as_json)
+
+    def tell_of_page(text: str) -> None:
+        typer.echo(text)
+        if text.startswith(NO_PAGE) and isinstance(view, LiveView):
+            view.footnote = text
+
     with (
         own_rig(plan, _tell) as own,
         fan_out(plan, own.descriptors),
-        inherited_by_page(plan, typer.echo) as beside,
+        inherited_by_page(plan, tell_of_page) as beside,
         view,
     ):
         outcome = run_rig(plan, view.observe, view.show, beside, own.descriptors, own.place)

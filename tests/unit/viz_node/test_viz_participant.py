@@ -340,7 +340,7 @@ def test_a_participant_has_a_token_of_its_own() -> None:
 
 
 def test_a_page_is_told_all_of_a_cue_but_its_header() -> None:
-    header = {"seq", "t_ns", "src", "v"}
+    header = {"seq", "t_ns", "src", "v", "run"}
     assert set(CUE_KEYS) == set(CUE.model.__struct_fields__) - header
 
 

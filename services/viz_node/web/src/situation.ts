@@ -2,7 +2,7 @@ import type { LinkState } from "./connection";
 import { leaseOffer } from "./lease";
 import type { Situation } from "./next";
 import { LIMIT_N } from "./spring";
-import { oldPart, oldWords, swingOf } from "./state";
+import { isSilent, oldPart, oldWords, swingOf } from "./state";
 import type { Store } from "./store";
 
 const AFM = "afm/state/slave";
@@ -45,7 +45,8 @@ export class Situations {
     const found = (name: string): unknown => store.fact(AFM, name);
     const old = store.isPictureOld ? oldWords(store) : "";
     if (commands.link === "open" && !old) this.wasHeld = hand.isHeld;
-    const isAlone = commands.link !== "open" || old !== "";
+    // what waits on its way, or for a page that stood still, shows that the line carries: nothing happens by itself then
+    const isAlone = commands.link !== "open" || (old !== "" && isSilent(store));
     const placed = found("placed") !== false;
     const position_m = store.last("hand", "position");
     const pressed_n = store.last("hand", "force");

@@ -46,11 +46,15 @@ export function bannersOf(store: Store, link: LinkState, linkText: string): Bann
   return found;
 }
 
-/** That what this page shows is not of the present, and by how much: nothing comes, or what comes has waited on its way. */
+/** Whether nothing comes; what is old although something comes has waited on its way, or for this page. */
+export function isSilent(store: Store): boolean {
+  return store.freshness.silence(store.at) > store.pictureAge / 2;
+}
+
+/** That what this page shows is not of the present, and by how much. */
 export function oldWords(store: Store): string {
   const age = store.pictureAge;
-  const isSilent = store.freshness.silence(store.at) > age / 2;
-  return isSilent ? `this page has heard nothing for ${ageWords(age)}` : `what this page shows is ${ageWords(age)} old`;
+  return isSilent(store) ? `this page has heard nothing for ${ageWords(age)}` : `what this page shows is ${ageWords(age)} old`;
 }
 
 /** Of which part nothing new has come, and for how long; empty where all that moves is of the present. */

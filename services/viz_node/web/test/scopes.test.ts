@@ -1,9 +1,14 @@
 import { describe, expect, it } from "vitest";
 import { BUILT_IN, Layouts, moved, overlaid } from "../src/scopes/layout";
-import { axisRange, extentOf, heldAxis, noiseOf, roundRange, type HeldAxis } from "../src/scopes/range";
+import { axisRange, extentOf, heldAxis, isNothing, noiseOf, roundRange, type HeldAxis } from "../src/scopes/range";
 import { resampled, spectrumOf } from "../src/scopes/spectrum";
 
 describe("a range", () => {
+  it("is of nothing where all values are less than the floor, or there are none", () => {
+    expect([isNothing(-0.01, 0.01, 0.04), isNothing(0, 0, 0.04), isNothing(null, null, 0.04)]).toEqual([true, true, true]);
+    expect([isNothing(-0.01, 0.03, 0.04), isNothing(2, 2.01, 0.04)]).toEqual([false, false]);
+  });
+
   it("is not smaller than the noise, so that noise does not look like an event", () => {
     const [low, high] = axisRange(-1e-5, 1e-5, 0.5);
     expect(high - low).toBeGreaterThan(0.5);

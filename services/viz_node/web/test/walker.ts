@@ -16,8 +16,8 @@ interface Step {
   now_ms: number;
   /** Frames of the server, in msgpack and base64. */
   frames: string[];
-  /** The answer to what was asked for last. */
-  answer?: { ok: boolean; text: string };
+  /** Answers to what was asked for, in the order in which it was. */
+  answers?: { ok: boolean; text: string }[];
   key?: string;
   /** Load the page again. */
   reload?: boolean;
@@ -41,7 +41,7 @@ function load() {
   let meant: number | undefined;
   const hand = {
     get isOffered(): boolean {
-      return commands.may && store.ownLease > 0;
+      return commands.may;
     },
     get isHeld(): boolean {
       return meant !== undefined;
@@ -78,7 +78,7 @@ createInterface({ input: process.stdin }).on("line", (line) => {
     else page.store.take(frame, now_ms);
   }
   const { store, commands, hand, spring } = page;
-  if (step.answer) page.waiting.shift()?.({ k: "answer", id: "", outcome: step.answer.ok ? "acknowledged" : "refused", waited_s: 0, ...step.answer });
+  for (const answer of step.answers ?? []) page.waiting.shift()?.({ k: "answer", id: "", outcome: answer.ok ? "acknowledged" : "refused", waited_s: 0, ...answer });
   // what was answered goes on before anything else is seen
   setImmediate(() => {
     store.look(now_ms, now_ms);

@@ -1,4 +1,4 @@
-import { Connection, Hand, Store, Surface, View, make, part, socketUrl, takeToken } from "../../kit.js";
+import { Connection, Hand, Store, Surface, View, ageWords, make, part, socketUrl, takeToken } from "../../kit.js";
 import { Remaining, answerOf, countOf, courseOf, cueOf, directionOf, label } from "./cue.js";
 import { QuestionForm } from "./form.js";
 import { TargetView } from "./target.js";
@@ -21,6 +21,7 @@ let cue;
 let course;
 let view;
 let dirty = false;
+let wasOld = false;
 
 hand.may = () => link === "open" && cue?.stage === "trial";
 part("hand").append(hand.pad, make("div", { class: "row tight" }, hand.keepButton), hand.text, buttons);
@@ -132,7 +133,19 @@ function beginTrial(shown) {
   }
 }
 
+/** What is not of the present is grey, and its hand is let go: the server has let it go as well. */
+function lookAtAge() {
+  store.look(performance.now());
+  const isOld = link === "open" && cue?.stage === "trial" && store.isPictureOld;
+  if (isOld) hand.letGo();
+  const text = isOld ? `Not connected for ${ageWords(store.pictureAge)}: your hand is let go. Tell the experimenter if this stays.` : "";
+  if (isOld || wasOld) note.textContent = text;
+  trial.toggleAttribute("data-old", isOld);
+  wasOld = isOld;
+}
+
 function draw() {
+  lookAtAge();
   const left = remaining.left(performance.now());
   if (cue?.stage === "trial" && !trial.hidden) {
     const end = course ? course.times[course.times.length - 1] : 0;

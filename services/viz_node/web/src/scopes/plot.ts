@@ -8,7 +8,7 @@ import { drawnTogether, SHORT, type Drawn } from "./catalog";
 import { ForceDistance } from "./force_distance";
 import { ageWords } from "../freshness";
 import type { ScopeSpec } from "./layout";
-import { axisRange, extentOf, heldAxis, noiseOf, type HeldAxis } from "./range";
+import { axisRange, extentOf, heldAxis, isNothing, noiseOf, type HeldAxis } from "./range";
 import { gapOf, readAt, samplesOf, type Reading, type Samples } from "./reading";
 import { resampled, spectrumOf } from "./spectrum";
 import { fixed } from "../numbers";
@@ -47,6 +47,8 @@ export class Plot {
   private data: uPlot.AlignedData = [[]];
   private window: Window | undefined;
   private axesHeld: Record<number, HeldAxis> = {};
+  /** Whether all that an axis shows is 0, but for what is less than its floor. */
+  private isNothing: Record<number, boolean> = {};
   /** Least and greatest of each curve where it counts. */
   private extents: ([number, number] | undefined)[] = [];
   /** Called with the time under the pointer [s], undefined when it leaves. */
@@ -279,7 +281,8 @@ export class Plot {
     const isSpectrum = this.spec.kind === "spectrum";
     const size = (_: uPlot, values: string[] | null): number => 12 + 6.4 * Math.max(1, ...(values ?? [""]).map((text) => text?.length ?? 0));
     // the unit stands in the axis, at its uppermost number
-    const labels = (i: number) => (_: uPlot, splits: number[]): string[] => tickTexts(splits).map((text, at) => (at === splits.length - 1 && this.units[i] ? `${text} ${this.units[i]}` : text));
+    // an axis that shows nothing but the floor around 0 has no other number: the rest of it would say how small nothing is
+    const labels = (i: number) => (_: uPlot, splits: number[]): string[] => this.isNothing[i] ? splits.map((value) => (Math.abs(value) < 1e-12 ? `0 ${this.units[i]}` : "")) : tickTexts(splits).map((text, at) => (at === splits.length - 1 && this.units[i] ? `${text} ${this.units[i]}` : text));
     // powers of ten alone have a label where the axis is one of them
     const powers = (_: uPlot, splits: (number | null)[]): string[] => splits.map((value) => (value && Math.abs(Math.log10(value) % 1) < 1e-9 ? `${value}` : ""));
     // The height that the plot knows: to read that of an element makes the browser lay out the page in each frame.
@@ -318,6 +321,7 @@ export class Plot {
     const noise = Math.max(...own.map((i) => noiseOf(this.data[i + 1] ?? [])));
     const counting = own.flatMap((i) => this.extents[i] ?? []);
     const [least, greatest] = counting.length ? [Math.min(...counting), Math.max(...counting)] : [min, max];
+    this.isNothing[axis] = isNothing(least, greatest, floor);
     const found = axisRange(least, greatest, floor, noise);
     // no share, age or delay is negative, and an axis that goes there looks as if one were
     if (["ms", "%"].includes(this.units[axis]!) && (least ?? 0) >= 0) found[0] = Math.max(0, found[0]);

@@ -30,6 +30,11 @@ export function axisRange(min: number | null | undefined, max: number | null | u
   return [middle - half, middle + half];
 }
 
+/** Whether values between two bounds are 0 but for what is less than the floor. */
+export function isNothing(min: number | null | undefined, max: number | null | undefined, floor: number): boolean {
+  return typeof min !== "number" || typeof max !== "number" || (Math.abs(min) < floor / 2 && Math.abs(max) < floor / 2);
+}
+
 /** An axis shrinks to a range that is smaller than this share of it, once that has been so for a while [ms]. */
 const SHRINK = 0.6;
 const SHRINK_MS = 4000;
