@@ -28,6 +28,9 @@ def cause_of(reason: int, asked: safety.SafetyInputs, limits: SafetyParams) -> C
 
 
 def _force(what: str, key: str, value_n: float, limit_n: float) -> Cause:
+    if not math.isfinite(value_n):
+        # A withdrawal keeps its reason until it ends, and by then the force may be beyond the range of the input.
+        return f"{what} is not measured, and its limit is {1e9 * limit_n:.3g} nN", {"limit_n": limit_n}
     text = f"{what} was {1e9 * value_n:.3g} nN, and its limit is {1e9 * limit_n:.3g} nN"
     return text, {key: value_n, "limit_n": limit_n}
 

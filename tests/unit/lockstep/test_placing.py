@@ -27,7 +27,7 @@ def test_a_session_begins_at_the_papers_distance_at_any_speed_of_the_base(
 
 @pytest.mark.usefixtures("plain_loop")
 def test_a_tip_that_cannot_be_placed_is_named_with_place_and_speed() -> None:
-    settings: dict[str, Any] = {"afm_node.spring.bilateral": False, "afm_node.spring.rest_position_m": -15e-9}
+    settings: dict[str, Any] = {"afm_node.spring.bilateral": False, "afm_node.spring.rest_position_m": -150e-9}
     with pytest.raises(RigError, match=r"not placed within .* of arming: its guard has withdrawn it \(force_limit\)"):
         telenano.simulate("fig12", environment="spring", settings=settings, duration_s=FIRST_S)
 
