@@ -1,11 +1,12 @@
 """Measure the time from the start of `telenano estop` to the AFM's emergency stop, relative to an interpreter's start.
 
-    python benchmarks/estop.py [--rounds N] [--command "session estop"] [--json]
+    python benchmarks/estop.py [--rounds N] [--command "session estop"] [--against FOLDER] [--json]
 
 A rig runs (`telenano up fig12`). Each round arms the devices and starts the command as its own process. The time runs
 from before its start to the `t_ns` of the first afm/state in emergency stop, and also to the end of the command. The
 baseline is `python -c pass` in the same round, from before its start to its end. Half of the rounds run on the machine
-as it is, the other half beside one busy process for each processor.
+as it is, the other half beside one busy process for each processor. With `--against` each round also stops the rig by
+the command of another checkout, before or after this one in turn: `against` is the ratio of the two, round by round.
 """
 
 import argparse
@@ -98,20 +99,35 @@ def arm() -> None:
                     break
 
 
-def one_round(afm: Afm, command: list[str]) -> dict[str, float]:
-    """Return the times to the stop, to the end of the command, and of the baseline [s]."""
+def one_stop(afm: Afm, command: list[str], folder: Path | None) -> tuple[float, float]:
+    """Arm and stop the rig; return the times to the stop and to the end of the command [s].
+
+    `folder` is the checkout whose command is used; None for this one.
+    """
     arm()
     afm.wait_for(FOLLOWS)
-    begun = time.monotonic()
-    children.run([sys.executable, "-c", "pass"], check=True)
-    baseline_s = time.monotonic() - begun
     afm.discard()
+    environment = os.environ | ({} if folder is None else {"PYTHONPATH": str(folder)})
     begun_ns, begun = time.time_ns(), time.monotonic()
-    process = children.start([sys.executable, "-m", "telenano", *command], stdout=subprocess.DEVNULL)
+    process = children.start(
+        [sys.executable, "-m", "telenano", *command], stdout=subprocess.DEVNULL, env=environment, cwd=folder
+    )
     stopped_ns = afm.wait_for(STOPPED)
     if process.wait() != 0:
         raise SystemExit(f"telenano {' '.join(command)} ended with {process.returncode}")
-    return {"stop": (stopped_ns - begun_ns) * 1e-9, "end": time.monotonic() - begun, "interpreter": baseline_s}
+    return (stopped_ns - begun_ns) * 1e-9, time.monotonic() - begun
+
+
+def one_round(afm: Afm, command: list[str], against: Path | None, number: int) -> dict[str, float]:
+    """Return the times to the stop, to the end of the command, and of the baseline [s]; with `against`, of both."""
+    begun = time.monotonic()
+    children.run([sys.executable, "-c", "pass"], check=True)
+    times = {"interpreter": time.monotonic() - begun}
+    folders = [None] if against is None else [None, against][:: 1 if number % 2 else -1]
+    for folder in folders:
+        stop_s, end_s = one_stop(afm, command, folder)
+        times |= {"stop": stop_s, "end": end_s} if folder is None else {"other_stop": stop_s, "other_end": end_s}
+    return times
 
 
 def summary(rounds: list[dict[str, float]]) -> dict[str, float]:
@@ -121,6 +137,8 @@ def summary(rounds: list[dict[str, float]]) -> dict[str, float]:
         values = [each[name] for each in rounds]
         found[f"{name}_p50_s"], found[f"{name}_max_s"] = statistics.median(values), max(values)
     found["ratio_p50"] = found["stop_p50_s"] / found["interpreter_p50_s"]
+    if "other_stop" in rounds[0]:
+        found["against_p50"] = statistics.median(each["stop"] / each["other_stop"] for each in rounds)
     return found
 
 
@@ -129,6 +147,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="Time of an emergency stop from the shell.")
     parser.add_argument("--rounds", type=int, default=20, help="rounds idle, and as many beside busy processors")
     parser.add_argument("--command", default="estop", help='"estop" or "session estop"')
+    parser.add_argument("--against", type=Path, metavar="FOLDER", help="another checkout, to compare its command")
     parser.add_argument("--smoke", action="store_true", help="the shortest run, to see that it works")
     parser.add_argument("--json", action="store_true")
     given = parser.parse_args()
@@ -139,9 +158,10 @@ def main() -> None:
         os.environ["TELENANO_RUNTIME_DIR"] = f"{folder}/run"
         with running_rig(Path(folder)), contextlib.closing(Afm(context)) as afm:
             afm.wait_for(FOLLOWS)
-            results["idle"] = summary([one_round(afm, given.command.split()) for _ in range(given.rounds)])
+            words, numbers = given.command.split(), range(given.rounds)
+            results["idle"] = summary([one_round(afm, words, given.against, number) for number in numbers])
             with busy_processors():
-                results["busy"] = summary([one_round(afm, given.command.split()) for _ in range(given.rounds)])
+                results["busy"] = summary([one_round(afm, words, given.against, number) for number in numbers])
     if given.json:
         print(json.dumps(results))
         return

@@ -182,6 +182,7 @@ class AfmNode(DeviceNode):
         message = received.message
         if type(message) is AfmCommand:
             self._memory.command = message
+            self.freshness.arrived(message.hand_t_ns, received.received_ns)
             self._memory.disarmed = self._is_disarmed(message)
             if message.hand_armed is True and not self._memory.disarmed:
                 self._memory.followed, self._memory.followed_received_ns = message, received.received_ns

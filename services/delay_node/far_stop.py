@@ -182,5 +182,5 @@ class FarStop:
         self._state.number += 1
         self._state.due_ns = now_ns + RESEND_NS
         return encode(
-            msgspec.structs.replace(self._stop, src=_SENDERS[self._device], seq=self._state.number, t_ns=t_ns)
+            msgspec.structs.replace(self._stop, src=_SENDERS[self._device], run=None, seq=self._state.number, t_ns=t_ns)
         )

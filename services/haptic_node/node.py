@@ -139,6 +139,7 @@ class HapticNode(DeviceNode):
             self._memory.command = received.message
             self._memory.command_received_ns = received.received_ns
             self._command_is_new = True
+            self.freshness.arrived(received.message.hand_t_ns, received.received_ns)
         elif type(received.message) is LinkDelay:
             self.freshness.record(received.message)
         elif isinstance(received.message, OperatorForce):

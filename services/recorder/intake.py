@@ -27,9 +27,9 @@ from telenano.wire.codec import MAX_MESSAGE_BYTES, WireError, fields_of, read_wh
 from telenano.wire.ends import END_TOPIC, read_end
 from telenano.wire.errors import RecordingError
 from telenano.wire.messages import SOURCE_PATTERN
-from telenano.wire.nodes import START_ORDER, name_of, site_of
+from telenano.wire.nodes import START_ORDER, begins_anew, name_of, site_of
 from telenano.wire.received import Received
-from telenano.wire.sequence import MOST_COUNTED, Arrival
+from telenano.wire.sequence import MOST_COUNTED, Arrival, total
 from telenano.wire.topics import keep_unknown
 
 # Messages on these topics are decoded; of all others only the header is read.
@@ -45,6 +45,8 @@ _LATE_NS = 100_000_000
 # Nodes that are stopped before a recorder, and the silence after which they count as ended; they send far more often.
 _SENDERS = tuple(node for node in START_ORDER if name_of(node) != "recorder")
 _SILENT_NS = 500_000_000
+# Interval of the attempts to continue on a disk that was full or could not be written.
+_RETRY_NS = 1_000_000_000
 # Most starts of a session that its files list, because an operator may start again and again.
 _MOST_STARTS = 256
 # Longer than any queue of messages delays; older stamps come from a replay.
@@ -114,6 +116,12 @@ class Intake:
         self._replayed: set[str] = set()
         self._open_gaps: list[_OpenGap] = []
         self._newest_ns = 0
+        # Gaps of which the file has no record: since its last flush, and while none can be written.
+        self._unflushed_gaps: list[GapRecord] = []
+        self._untold: list[GapRecord] = []
+        # Whether recording continues when the disk has room again; the times of the fault and of the next attempt [ns].
+        self._goes_on = True
+        self._stopped_ns = self._retry_ns = self._counted_unwritten = 0
 
     @property
     def size_bytes(self) -> int:
@@ -139,7 +147,8 @@ class Intake:
                 permit(topic, src)
             stream = listener.streams.get((topic, src))
             if stream is None:
-                stream = self._open_stream(listener, topic, src, live=abs(received_ns - t_ns) < _LONGEST_QUEUE_NS)
+                is_live = abs(received_ns - t_ns) < _LONGEST_QUEUE_NS
+                stream = self._open_stream(listener, topic, src, seq, live=is_live)
             arrival = stream.tracker.accept(seq, t_ns, run)
             self._newest_ns = received_ns
             if stream.wanted:
@@ -173,11 +182,63 @@ class Intake:
             self._record_gaps(self._newest_ns - _LATE_NS)
             if self.writer is not None:
                 self.writer.flush()
+                self._note_kept()
                 self._check_in_place(self.writer, now_ns)
             if self.rotation is not None and not self.fault:
                 self._rotate(self.rotation, now_ns)
+            elif self.rotation is not None and self._goes_on and now_ns >= self._retry_ns:
+                self._retry_ns = now_ns + _RETRY_NS
+                self._go_on(self.rotation, now_ns)
         except RecordingError as error:
             self._stop(error)
+
+    def _note_kept(self) -> None:
+        """Note that the file has all that was received so far, and that no fault of the disk takes it away."""
+        self._unflushed_gaps.clear()
+        for stream in self._streams:
+            stream.kept = stream.tracker.last_seq
+
+    def _go_on(self, rotation: FileRotation, now_ns: int) -> None:
+        """Continue in a further file once the disk has room again, and record what is missing since the last flush."""
+        if not rotation.has_room():
+            return
+        try:
+            writer = rotation.begin(now_ns)
+        except RecordingError as error:
+            self.fault = str(error)
+            return
+        lasted = f"for {(self._newest_ns - self._stopped_ns) * 1e-9:.3f} s" if self._stopped_ns else "at first"
+        note = f"nothing was recorded {lasted}: {self.fault}"
+        unwritten = [
+            (stream, first, last)
+            for stream in self._streams
+            for first, last in (*stream.unwritten, (stream.kept + 1, stream.tracker.last_seq))
+            if first <= last and stream.wanted
+        ]
+        gaps = [*self._untold, *(_gap_of(*part) for part in unwritten)]
+        try:
+            # Write the notes now, in case the file is never finished.
+            writer.add_metadata(END_NAME, {"state": "", "note": "; ".join([*self.notes, note])})
+            self._use(writer)
+            for gap in gaps:
+                writer.write_gap(self._newest_ns, gap)
+            writer.flush()
+        except RecordingError as error:
+            # The disk was full again at once, so all is still to be told.
+            self.writer, self.fault = None, str(error)
+            writer.discard()
+            return
+        self.fault = ""
+        self.notes.append(note)
+        self._untold.clear()
+        self.written += len(gaps)
+        self.gaps += len(unwritten)
+        lost = total(last - first + 1 for _, first, last in unwritten) - self._counted_unwritten
+        self._counted_unwritten = 0
+        self.lost, self.missing = total((self.lost, lost)), total((self.missing, lost))
+        for stream in self._streams:
+            stream.unwritten.clear()
+        self._note_kept()
 
     def split(self, now_ns: int) -> None:
         """Continue in a new file; raise RecordingError, with the reason, if that is not possible."""
@@ -271,16 +332,16 @@ class Intake:
         if topic == END_TOPIC and stream.direct:
             self._compare_end(listener, fields, received_ns)
 
-    def _open_stream(self, listener: Listener, topic: str, src: str, *, live: bool) -> Stream:
+    def _open_stream(self, listener: Listener, topic: str, src: str, first: int, *, live: bool) -> Stream:
         row, site = TOPICS[topic], site_of(listener.publisher) or site_of(src)
         if not (_SOURCE.match(src) and len(src) <= _MAX_SOURCE_LENGTH):
             raise WireError("schema", f"{row.name}: src: {src[:80]!r} is not of the form node@site")
         tracker = listener.subscriber.tracker(row.name, src)
-        tracker.counts_heads = True
+        tracker.counts_heads = not begins_anew(src)
         name = channel_topic(row.name, src, site)
         direct = site_of(src) == site
         wanted = self._selection.names(name)
-        stream = Stream(row, name, src, site, None, direct, direct and live, wanted, tracker)
+        stream = Stream(row, name, src, site, None, direct, direct and live, wanted, tracker, first - 1)
         listener.streams[topic, src] = stream
         self._streams.append(stream)
         return stream
@@ -303,7 +364,16 @@ class Intake:
                 self._write_gap(stream, first, last)
 
     def _note_arrival(self, stream: Stream, arrival: Arrival, seq: int, received_ns: int) -> None:
-        if arrival is Arrival.AFTER_GAP:
+        if self.writer is None:
+            # All since the last flush is missing, whatever arrived; until it is told, the gaps alone are counted.
+            if arrival is Arrival.AFTER_GAP:
+                first, last = stream.tracker.last_gap
+                self._count_missing(stream, last - first + 1)
+                self._counted_unwritten += last - first + 1
+            elif arrival is Arrival.RESTART:
+                stream.unwritten.append((stream.kept + 1, stream.tracker.left_seq))
+                stream.kept = -1 if stream.tracker.lacks_head else seq - 1
+        elif arrival is Arrival.AFTER_GAP:
             self._open_gap(stream, received_ns)
         elif arrival is Arrival.LATE:
             self._fill_gap(stream, seq)
@@ -348,15 +418,12 @@ class Intake:
 
     def _write_gap(self, stream: Stream, first: int, last: int) -> None:
         self.gaps += 1
-        gap = GapRecord(
-            channel_topic=stream.channel_topic,
-            src=stream.src,
-            first_missing=first,
-            last_missing=last,
-            count=last - first + 1,
-        )
-        if self.writer is not None:
+        gap = _gap_of(stream, first, last)
+        if self.writer is None:
+            self._untold.append(gap)
+        else:
             self.written += 1
+            self._unflushed_gaps.append(gap)
             self.writer.write_gap(self._newest_ns, gap)
 
     def _reject(self, listener: Listener, frames: Sequence[bytes], received_ns: int, error: WireError) -> None:
@@ -381,11 +448,26 @@ class Intake:
     def _stop(self, error: RecordingError) -> None:
         writer, self.writer = self.writer, None
         self.fault = str(error)
+        self._stopped_ns = self._newest_ns
+        # What was written since the last flush is not in the file.
+        self._untold += self._unflushed_gaps
+        self._unflushed_gaps.clear()
+        self._goes_on = not isinstance(error, QuotaError)
         if isinstance(error, QuotaError) and writer is not None:
             # The file itself is intact, so finish it as far as the disk allows.
             self.notes.append(f"the recording was stopped before its end: {error}")
             with contextlib.suppress(RecordingError):
                 writer.finish(self._end("quota"))
+
+
+def _gap_of(stream: Stream, first: int, last: int) -> GapRecord:
+    return GapRecord(
+        channel_topic=stream.channel_topic,
+        src=stream.src,
+        first_missing=first,
+        last_missing=last,
+        count=last - first + 1,
+    )
 
 
 def begin_recording(
@@ -413,7 +495,11 @@ def begin_recording(
 
     def create_file(number: int) -> RecordingWriter:
         writer = RecordingWriter.create(key, config, number, disk)
-        write_provenance(writer, config, files, clock.now_ns(), recorded)
+        try:
+            write_provenance(writer, config, files, clock.now_ns(), recorded)
+        except RecordingError:
+            writer.discard()
+            raise
         return writer
 
     rotation = FileRotation(config, create_file, disk)

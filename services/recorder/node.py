@@ -283,11 +283,14 @@ class RecorderNode(Node):
         if fault:
             self.state = "safe"
             level, text = "error", f"recording stopped, the rig continues: {fault}"
+        elif self._reported_state == "failed":
+            self.state = "running"
+            level, text, state = "info", f"recording goes on in {self._path}: {self._intake.notes[-1]}", "resumed"
         elif not low and self._reported_state == "disk_low":
             level, text, state = "info", "the disk has room again", "disk_ok"
         if state and state != self._reported_state:
             self.event("recording", level, text, state=state, path=self._path)
-        elif state not in ("", "disk_ok") and now_ns >= self._remind_ns:
+        elif state not in ("", "disk_ok", "resumed") and now_ns >= self._remind_ns:
             data = {"state": state, "path": self._path}
             text = text[:MAX_TEXT].encode(errors="replace").decode()
             # Publish without logging, because the log would only repeat it.

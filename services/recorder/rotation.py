@@ -9,6 +9,9 @@ from telenano.recording.recorder_config import RecorderConfig
 from telenano.recording.writer import RecordingWriter
 from telenano.wire.errors import RecordingError
 
+# Room with which a recording that a full disk has stopped continues: less would be full again at once.
+ROOM_BYTES = 1 << 20
+
 CreateFile = Callable[[int], RecordingWriter]
 
 
@@ -51,6 +54,11 @@ class FileRotation:
     def finished_bytes(self) -> int:
         """Size of the finished files that were not dropped [bytes]."""
         return sum(size for _, size in self._finished)
+
+    def has_room(self) -> bool:
+        """Return whether the disk has room for the beginning of a further file, as far as that is known."""
+        free = self._disk.free_bytes(self._config.directory)
+        return free is None or free >= ROOM_BYTES
 
     def due(self, writer: RecordingWriter, now_ns: int) -> bool:
         config = self._config

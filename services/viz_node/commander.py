@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from telenano.console.answers import kind_of
 from telenano.console.coupling import recouple
 from telenano.console.emergency_stop import LocalRig, emergency_stop
 from telenano.console.going_back import send_way
@@ -58,7 +59,7 @@ class RigCommander:
             answers = send_control(
                 wanted, self._site_file, "master", lambda event: None, is_wanted, issued_ns=issued_ns, by=by
             )
-        return {src: (event.kind, event.text) for src, event in answers.items()}
+        return {src: (kind_of(event.kind), event.text) for src, event in answers.items()}
 
     def estop(self, by: str) -> dict[str, tuple[str, str]]:
         """Stop the devices like `telenano estop`; return a kind and a sentence for each device, answered or not."""
@@ -73,7 +74,7 @@ class RigCommander:
                 if target == _EVERYBODY:
                     raise
                 answers[target] = ("unreached", str(error))
-            answers |= {event.src: (event.kind, event.text) for event in events}
+            answers |= {event.src: (kind_of(event.kind), event.text) for event in events}
         return answers
 
 

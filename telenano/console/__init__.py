@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from telenano.lazy_exports import face
 
 if TYPE_CHECKING:
+    from telenano.console.answers import UnansweredError as UnansweredError
     from telenano.console.bridges import hand_on as hand_on
     from telenano.console.bridges import live_rig as live_rig
     from telenano.console.coupling import recouple as recouple

@@ -48,6 +48,14 @@ class Answer(NamedTuple):
         return {"kind": self.kind, "text": self.text, **({"last_seen": self.last_seen} if self.last_seen else {})}
 
 
+def kind_of(event_kind: str) -> Kind:
+    """Return the kind of the row of a node that has answered, from the kind of its event.
+
+    The report that the tip is placed follows the acknowledgement of the command and takes its place.
+    """
+    return "refused" if event_kind == "refused" else "ack"
+
+
 def all_acknowledged(answers: Mapping[str, Answer]) -> bool:
     """Return whether nodes were asked and all have acknowledged; exit code and page depend on nothing else."""
     return bool(answers) and all(answer.kind == "ack" for answer in answers.values())

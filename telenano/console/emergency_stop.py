@@ -222,10 +222,10 @@ class LocalRig:
         ways: dict[str, list[str]] = {way: [] for way in Reach._fields}
         homes = {of for of in ("master", "slave") if self._is_home(of)}
         for device in (device for device in DEVICES if device in self.nodes and is_meant(device, target)):
-            ways[self._way_to(device, site, homes)].append(device)
+            ways[self._way_to(device, target, site, homes)].append(device)
         return Reach(**{way: tuple(devices) for way, devices in ways.items()})
 
-    def _way_to(self, device: str, site: str, homes: set[str]) -> str:
+    def _way_to(self, device: str, target: str, site: str, homes: set[str]) -> str:
         """Return the way to a device, as a field of `Reach`; `homes` are the sites that run on this machine."""
         if self.has_inlet(device):
             return "direct"
@@ -238,7 +238,9 @@ class LocalRig:
         may_be_far = device in self._networked or device not in self.endpoints
         if site_of(device) in homes and (not may_be_far or self._has_launcher(site_of(device))):
             return "unknown" if self.seen.blind else "absent"
-        if device == HAND and self.has_inlet(TIP):
+        # An instrument that obeys the stop carries it, also one that a launcher is about to start again.
+        tip_obeys = self.has_inlet(TIP) or (site_of(TIP) in homes and self.is_supervised())
+        if device == HAND and TIP in self.nodes and is_meant(TIP, target) and tip_obeys:
             return "by_instrument"
         if may_be_far or (device == TIP and site == "master"):
             return "by_console"

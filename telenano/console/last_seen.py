@@ -19,11 +19,9 @@ from telenano.recording.reader import Recording
 from telenano.wire.errors import RecordingError
 from telenano.wire.nodes import FAR_RECORDER, HAND, RECORDER, TIP
 
-# Topics and publishers of the state of each device, as far as a recorder at either site receives them.
-_STATES = {
-    TIP: (("afm/state", TIP), ("teleop/backward", "controller@slave")),
-    HAND: (("haptic/state", HAND), ("teleop/forward", "controller@master")),
-}
+# Topic of each device's state. A recorder of the other site has only what its half of the law reports of it.
+_OWN = {TIP: ("afm/state", TIP), HAND: ("haptic/state", HAND)}
+_OF_HALF = {TIP: ("teleop/backward", "controller@slave"), HAND: ("teleop/forward", "controller@master")}
 _PROC = Path("/proc")
 # Errors of a file that is damaged or being removed; the answers are reported without a last state then.
 _UNREADABLE = (RecordingError, OSError, KeyError, IndexError, TypeError, ValueError)
@@ -37,23 +35,30 @@ def last_seen(rig: LocalRig, devices: Iterable[str]) -> dict[str, str]:
     recordings = [recording for path in _recorded_now(rig) if (recording := _opened(path)) is not None]
     found = {}
     for device in devices:
-        newest: list[RecordedMessage] = []
-        for recording in recordings:
-            with suppress(*_UNREADABLE):
-                wanted = _STATES.get(device, ())
-                by_channel = recording.newest_before(_END_OF_TIME, lambda c, w=wanted: (c.topic, c.src) in w)  # type: ignore[misc]
-                newest += by_channel.values()
-        if newest:
-            # Of messages of about the same time the device's own says more than that of its half of the law.
-            message = max(newest, key=lambda one: (one.log_ns // 10**9, one.channel.src == device))
-            with suppress(*_UNREADABLE):
-                found[device] = f"last seen {_in_words(message)}, {_ago(time.time_ns() - message.log_ns)} ago"
+        # The half repeats the last state of a device that is gone, so its report says less.
+        for source, words in ((_OWN, "last seen"), (_OF_HALF, "last reported as")):
+            message = _newest(recordings, source[device]) if device in source else None
+            if message is not None:
+                with suppress(*_UNREADABLE):
+                    found[device] = f"{words} {_in_words(message)}, {_ago(time.time_ns() - message.log_ns)} ago"
+                break
     return found
+
+
+def _newest(recordings: Iterable[Recording], source: tuple[str, str]) -> RecordedMessage | None:
+    """Return the newest message of a topic and publisher in the recordings; None if they have none."""
+    found: list[RecordedMessage] = []
+    for recording in recordings:
+        with suppress(*_UNREADABLE):
+            found += recording.newest_before(
+                _END_OF_TIME, lambda channel: (channel.topic, channel.src) == source
+            ).values()
+    return max(found, key=lambda message: message.log_ns, default=None)
 
 
 def with_last_seen(rig: LocalRig, answers: dict[str, Answer]) -> dict[str, Answer]:
     """Return the answers, each of a device that has not answered with its last recorded state."""
-    silent = [node for node, answer in answers.items() if answer.kind not in ("ack", "refused") and node in _STATES]
+    silent = [node for node, answer in answers.items() if answer.kind not in ("ack", "refused") and node in _OWN]
     seen = last_seen(rig, silent) if silent else {}
     return {node: answer._replace(last_seen=seen.get(node, "")) for node, answer in answers.items()}
 

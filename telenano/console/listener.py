@@ -12,7 +12,8 @@ class Stream:
     """Stream of messages from one publisher on one topic, received at one site.
 
     `live`: received at its publisher, with current stamps rather than the old ones of a replay.
-    `channel`: its number in the file, None before its first message there.
+    `channel`: its number in the file, None before its first message there. `kept`: the newest number of its present
+    process that a recording is known to have. `unwritten`: ranges of numbers of earlier processes that it has not.
     """
 
     topic: Topic
@@ -24,6 +25,8 @@ class Stream:
     live: bool
     wanted: bool
     tracker: SequenceTracker
+    kept: int
+    unwritten: list[tuple[int, int]] = field(default_factory=list)
 
 
 @dataclass

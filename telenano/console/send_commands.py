@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import zmq
 
-from telenano.console.answers import Answer, UnansweredError
+from telenano.console.answers import Answer, UnansweredError, kind_of, unacknowledged
 from telenano.console.emergency_stop import LocalRig
 from telenano.console.lease import FREE_COMMANDS, MOST_LETTERS
 from telenano.console.lease_register import NAME_VARIABLE, Hold, acting
@@ -279,14 +279,9 @@ def _exchange(
 
         whereabouts = _Whereabouts(LocalRig.read(site_file), attention, commands, client)
         rows = with_last_seen(whereabouts.rig, whereabouts.rows(answers, far))
-        details = [f"{answer.node} {answer.sentence}" for answer in rows.values() if answer.kind not in _ANSWERED]
-        text = "; ".join([*([f"{text}{in_force}{_half_done(answers, client)}"] if text else []), *details])
-        raise UnansweredError(text, rows)
+        texts = [f"{text}{in_force}{_half_done(answers, client)}"] if text else []
+        raise UnansweredError("; ".join([*texts, unacknowledged(rows)]).removesuffix("; "), rows)
     return answers
-
-
-# The kinds of rows of nodes that have answered.
-_ANSWERED = ("ack", "refused")
 
 
 class _Whereabouts(NamedTuple):
@@ -304,8 +299,8 @@ class _Whereabouts(NamedTuple):
         rows = {}
         for node in near:
             event = answers.get(node)
-            if event is not None and event.kind in _ANSWERED and node not in self.client.ended:
-                rows[node] = Answer(node, event.kind, event.text)
+            if event is not None and node not in self.client.ended:
+                rows[node] = Answer(node, kind_of(event.kind), event.text)
             elif node in unsent:
                 rows[node] = Answer(node, "unreached", "was not sent the command, because an earlier one failed")
             elif self.rig.state_of(node) == "absent":

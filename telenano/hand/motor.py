@@ -68,7 +68,7 @@ class MotorInputs(NamedTuple):
 class MotorOutputs(NamedTuple):
     """Voltage of the drive at the end of the step, and its force, after its limits; the limits that acted.
 
-    force_n is the motor's torque through the screw, K_t i / Kp, an ideal force at the arm of which nothing is left there.
+    force_n is the motor's torque through the screw, K_t i / Kp: an ideal force at the arm, which friction takes.
     """
 
     voltage_v: float

@@ -195,7 +195,7 @@ class RigNode(Node):
             self.removed_recordings.append(f"{event.src}: {event.text}")
         if state == "failed":
             self.recording_faults[event.src] = event.text
-        if not is_unchanged and (event.level != "info" or state in ("draining", "disk_ok")):
+        if not is_unchanged and (event.level != "info" or state in ("draining", "disk_ok", "resumed")):
             self.reports.append(f"{event.src}: {event.text}")
 
     def _record_health(self, health: NodeHealth) -> None:

@@ -12,6 +12,7 @@ from telenano.recording.messages import RecordedChannel, RecordedMessage
 from telenano.recording.record_topics import GAP_TOPIC, RECORD_TOPICS
 from telenano.wire.ends import END_TOPIC, read_end
 from telenano.wire.errors import RecordingError
+from telenano.wire.nodes import begins_anew
 from telenano.wire.sequence import SequenceTracker, total
 
 # The metadata record at the end of a file, in which the recorder says why it ended and which data it knows to miss.
@@ -140,7 +141,7 @@ class ChannelStatistics:
         self.size_bytes = 0
         # Messages that the link had passed on and that are missing: at its end, or while nothing was recorded.
         self._missing_behind_link = 0
-        self._tracker = SequenceTracker(counts_heads=True)
+        self._tracker = SequenceTracker(counts_heads=not begins_anew(first.src))
 
     def add(self, message: RecordedMessage, *, after_pause: bool = False) -> None:
         """Add a message; `after_pause`: it is the first one after a time in which nothing was recorded."""

@@ -23,6 +23,7 @@ from telenano.wire.ends import END_TOPIC, read_end
 from telenano.wire.errors import RecordingError
 from telenano.wire.extras import how_to_add_package
 from telenano.wire.messages import Message
+from telenano.wire.nodes import begins_anew
 from telenano.wire.sequence import Arrival, SequenceTracker
 from telenano.wire.topics import NAME
 
@@ -188,7 +189,7 @@ class _Check:
     def _stream(self, channel: RecordedChannel) -> _Stream:
         stream = self._streams.get(channel)
         if stream is None:
-            tracker = self._trackers.setdefault(channel, SequenceTracker(counts_heads=True))
+            tracker = self._trackers.setdefault(channel, SequenceTracker(counts_heads=not begins_anew(channel.src)))
             stream = self._streams[channel] = _Stream(channel, tracker)
         return stream
 

@@ -67,6 +67,8 @@ class RecordingWriter:
         self.size_bytes = 0
         self._stream = stream
         self._disk = disk
+        # The path of the file on the disk, if `create` made it.
+        self._place: Path | None = None
         # Number in the name of the file; 0 for none.
         self.number = 0
         # Identity of the file that `create` made; None for another stream.
@@ -103,7 +105,13 @@ class RecordingWriter:
             path = settings.directory / (f"{stem}_{number}{suffix}" if number else settings.file_name)
             try:
                 stream = disk.create(path)
-                writer = cls(stream, disk.named(path), node, settings, disk)
+                try:
+                    writer = cls(stream, disk.named(path), node, settings, disk)
+                except RecordingError:
+                    # A file that has no head is no recording.
+                    disk.remove(path)
+                    raise
+                writer._place = path
                 writer._identity = disk.identity(stream)
                 writer.number = number
                 return writer
@@ -192,6 +200,13 @@ class RecordingWriter:
         """Close the stream without finishing the file, and ignore errors."""
         with contextlib.suppress(OSError):
             self._stream.close()
+
+    def discard(self) -> None:
+        """Close and remove the file that `create` made, and ignore errors."""
+        self.abandon()
+        if self._place is not None:
+            with contextlib.suppress(OSError):
+                self._disk.remove(self._place)
 
     def _write_own(self, topic: str, log_ns: int, fields: dict[str, object]) -> None:
         if topic not in self._own_channels:

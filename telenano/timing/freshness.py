@@ -10,6 +10,7 @@ from typing import NamedTuple, cast
 import msgspec
 
 from telenano.timing.clock import NEVER_NS
+from telenano.timing.longer_way import LongerWay
 from telenano.wire.messages import AfmCommand, HapticCommand, LinkDelay, TeleopBackward, TeleopForward
 from telenano.wire.nodes import LINK, name_of, site_of
 from telenano.wire.received import Received
@@ -21,6 +22,8 @@ _SIGNALS = ("teleop/forward", "teleop/backward")
 DEADLINES_S = {topic: deadline_of(topic) for topic in ("haptic/state", "afm/state", *_SIGNALS)}
 # A sample that is older than its reader by more than this was never sent to it, so it comes from a recording.
 _OLDER_THAN_READER_NS = 1_000_000_000
+# Messages between the two sides of a jump of a round trip, whose way there becomes longer before its way back.
+_THERE_BEFORE_BACK = 16
 # Most recorded changes of the delay: enough for a round trip of four seconds with a change at every sample.
 _MOST_CHANGES = 4096
 
@@ -67,6 +70,7 @@ class FreshnessState(NamedTuple):
     backward: DelayHistory
     between_ns: int
     judged_ns: int
+    longer: LongerWay | None = None
 
 
 class Freshness:
@@ -93,17 +97,19 @@ class Freshness:
         self._judged_ns = 0
         # Cached lag of the newest samples.
         self._newest_from_ns = self._newest_lag_ns = 0
+        self._longer = LongerWay(between=2 if self._is_slave else _THERE_BEFORE_BACK)
         # Topics whose newest message was too old, which is reported only once.
         self._late: set[str] = set()
 
     def capture(self) -> FreshnessState:
         """Return the state."""
         delays = self._forward, self._backward, self._between_ns
-        return FreshnessState(self.turn_ns, self._oldest_ns, *delays, self._judged_ns)
+        return FreshnessState(self.turn_ns, self._oldest_ns, *delays, self._judged_ns, self._longer)
 
     def restore(self, state: FreshnessState) -> None:
         """Continue from a state."""
-        self.turn_ns, self._oldest_ns, self._forward, self._backward, self._between_ns, self._judged_ns = state
+        self.turn_ns, self._oldest_ns, self._forward, self._backward, self._between_ns, self._judged_ns = state[:-1]
+        self._longer = state.longer or LongerWay(between=self._longer.between)
         self._note_newest()
 
     def deadline_ns(self) -> int:
@@ -130,8 +136,9 @@ class Freshness:
             # Keep one deadline more: an answer at the hand may be older than the last judged sample.
             history.forget_before(self._judged_ns - LOOP_DEADLINE_NS)
         (forward if message.direction == "forward" else backward).record(message.hand_t_ns, message.delay_ns)
-        transit_ns = message.transit_ns
+        transit_ns, before_ns = message.transit_ns, self._between_ns
         self._between_ns = transit_ns + message.clock_ahead_ns if self._is_slave else 2 * transit_ns
+        self._longer.reported(self._between_ns - before_ns)
         self._note_newest()
 
     def _note_newest(self) -> None:
@@ -140,8 +147,24 @@ class Freshness:
 
     def lag_ns(self, hand_t_ns: int) -> int:
         """Return the part of a sample's age that comes from link, network and clocks [ns]."""
-        lag_ns = self._between_ns + self._forward.of(hand_t_ns)
-        return lag_ns if self._is_slave else lag_ns + self._backward.of(hand_t_ns)
+        return self._between_ns + self._longer.more_ns + self._added_ns(hand_t_ns)
+
+    def _added_ns(self, hand_t_ns: int) -> int:
+        """Return the delay that the link adds on purpose to messages that descend from a sample [ns]."""
+        added_ns = self._forward.of(hand_t_ns)
+        return added_ns if self._is_slave else added_ns + self._backward.of(hand_t_ns)
+
+    def arrived(self, hand_t_ns: int, received_ns: int) -> None:
+        """Note that a message which descends from a sample of the hand has come now [ns]; the way may be longer.
+
+        A sample from before this node began comes from a recording, and says nothing about the line.
+        """
+        if hand_t_ns - self._oldest_ns < 0 or not hand_t_ns:
+            return
+        added_ns = self._added_ns(hand_t_ns)
+        changed = self._longer.arrived(hand_t_ns, received_ns, added_ns, self._between_ns)
+        if self._longer.ends(received_ns) or changed:
+            self._note_newest()
 
     def age_s(self, now_ns: int, hand_t_ns: int, message_age_s: float = 0.0) -> float:
         """Return the age of a hand's sample, or that of the message that descends from it, if greater [s].
@@ -200,7 +223,9 @@ class Freshness:
         if limit_s is None:
             return None
         if topic in _SIGNALS:
-            old_s = self.age_s(received.received_ns, cast(TeleopForward | TeleopBackward, message).hand_t_ns)
+            hand_t_ns = cast(TeleopForward | TeleopBackward, message).hand_t_ns
+            self.arrived(hand_t_ns, received.received_ns)
+            old_s = self.age_s(received.received_ns, hand_t_ns)
         else:
             old_s = age_s(received.received_ns, self.stamp_ns(message.t_ns, received.received_ns))
         if old_s <= limit_s:

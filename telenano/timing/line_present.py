@@ -97,7 +97,8 @@ class Way(msgspec.Struct, array_like=True):
 
     least_ns: the least delay; at_ns: send time of the message with it, by the sender's clock; since_ns: time since
     which it holds, by that clock; jumped_ns: size of the last increase; newest: send times and delays of the last
-    second; is_jump: whether the last increase was a jump rather than gradual.
+    second; is_jump: whether the last increase was a jump rather than gradual; between: most messages between the two
+    sides of a jump.
     """
 
     least_ns: int
@@ -106,6 +107,7 @@ class Way(msgspec.Struct, array_like=True):
     jumped_ns: int = 0
     newest: list[tuple[int, int]] = msgspec.field(default_factory=list)
     is_jump: bool = True
+    between: int = _BETWEEN
 
     def record(self, sent_ns: int, took_ns: int) -> int:
         """Record a message's send time and delay; return the increase of the least delay that it proves [ns], else 0.
@@ -177,7 +179,7 @@ class Way(msgspec.Struct, array_like=True):
         newest, above_ns = self.newest, self.least_ns + _ABOVE * rise_ns
         # Probability of a high delay by chance, from the messages before (Laplace's rule of succession).
         often = (1 + sum(took > above_ns for _, took in newest[:first])) / (2 + first)
-        before = newest[max(0, first - _BETWEEN - 1) : first]
+        before = newest[max(0, first - self.between - 1) : first]
         near_ns, below_ns = newest[first][0] - _NEAR_NS, self.least_ns + _BELOW * rise_ns
         was_near = any(at_ns >= near_ns and took <= below_ns for at_ns, took in before)
         return was_near and often ** (len(newest) - first) <= _BY_CHANCE

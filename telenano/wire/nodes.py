@@ -160,6 +160,14 @@ def is_pattern(target: str) -> bool:
     return any(sign in target for sign in "*?[")
 
 
+def begins_anew(node: str) -> bool:
+    """Return whether each process of a node is there for one command, which it repeats until it is answered.
+
+    Then nothing is lost with the repetitions from before a reader was connected.
+    """
+    return is_console(node) or name_of(node) == "estop"
+
+
 def is_visitor(node: str) -> bool:
     """Return whether a node comes and goes, so that its absence from a rig is not reported."""
     return is_console(node) or any(

@@ -88,6 +88,8 @@ class SequenceTracker:
         self.last_t_ns = 0
         self.last_gap = (0, 0)
         self.ended = False
+        # The last number of the process before.
+        self.left_seq = -1
         # Whether the newest restart has left a gap before its first number, which is `last_gap` then.
         self.lacks_head = False
         self._left: deque[int] = deque(maxlen=_REMEMBERED_RUNS)
@@ -184,7 +186,7 @@ class SequenceTracker:
         self.restarts += 1
         if self.run is not None and is_other(run, self.run):
             self._left.append(self.run)
-        self.run, self.ended = run, False
+        self.run, self.ended, self.left_seq = run, False, self.last_seq
         self._gaps.clear()
         self._filled.clear()
         self._remembered = 0

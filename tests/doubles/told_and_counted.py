@@ -5,10 +5,10 @@
 It reads files with the plain libraries `mcap` and `msgpack`, and with nothing of this project:
 
 - The numbers that a channel lacks are those that `recorder/gap` names. They are counted for each process (`run`) of the
-  publisher: from 0 on if an earlier process of it is in the file, and up to the count that the publisher, or the link
-  that carried it, announced at its end.
+  publisher, up to the count that it, or the link that carried it, announced at its end. They begin at 0 if an earlier
+  process is in the file, except of consoles and emergency stops, which repeat a command until it is answered.
 - Number and stamp of a record are those of its message, and the stamps of a process do not go back.
-- With `commands=True`, every command that was acknowledged is in the file.
+- Every command that was answered is in the file, or its answer repeats it.
 """
 
 import io
@@ -83,6 +83,7 @@ class Stream:
     """A channel: the processes of its publisher, by `run` or, without that key, in their order."""
 
     def __init__(self) -> None:
+        self.counts_heads = True
         self.processes: dict[object, Process] = {}
         self._present: object = None
 
@@ -112,7 +113,11 @@ class Stream:
             process.sent, process.ended = max(process.sent, sent), own
 
     def lacking(self) -> list[tuple[Range, int]]:
-        return [part for place, one in enumerate(self.processes.values()) for part in one.lacking(head=place > 0)]
+        return [
+            part
+            for place, (run, one) in enumerate(self.processes.items())
+            for part in one.lacking(head=place > 0 and self.counts_heads and isinstance(run, int) and run >= 0)
+        ]
 
     def going_back(self) -> Iterator[str]:
         for process in self.processes.values():
@@ -128,6 +133,8 @@ class Account:
     def __init__(self, seen: Iterable[Seen]) -> None:
         self.streams: dict[tuple[str, str], Stream] = defaultdict(Stream)
         self.told: dict[tuple[str, str], list[Range]] = defaultdict(list)
+        # Those that are told before the first message of the channel: they may be of an earlier file.
+        self.told_before: dict[tuple[str, str], list[Range]] = defaultdict(list)
         self.asked, self.answered = set[str](), dict[str, str]()
         self.faults = list[str]()
         for one in seen:
@@ -137,16 +144,20 @@ class Account:
         fields, (topic, src, site) = one.fields, (one.channel.metadata[key] for key in ("topic", "src", "site"))
         if topic == "recorder/gap":
             gap = (fields["first_missing"], fields["last_missing"])
-            self.told[fields["channel_topic"], fields["src"]].append(gap)
+            place = fields["channel_topic"], fields["src"]
+            self.told[place].append(gap)
+            if place not in self.streams:
+                self.told_before[place].append(gap)
         if topic.startswith("recorder/"):
             return
         if (one.seq, one.publish_ns, src) != (fields["seq"] % 2**32, fields["t_ns"], fields["src"]):
             self.faults.append(f"{one.channel.topic} {src}: {one.seq} is recorded as another message")
         self.streams[one.channel.topic, src].add(one)
+        self.streams[one.channel.topic, src].counts_heads = not src.startswith(("console", "estop"))
         if topic == "session/control":
             self.asked.add(fields["id"])
         elif topic == "session/event":
-            if fields.get("kind") == "ack" and fields.get("id"):
+            if fields.get("kind") in ("ack", "refused") and fields.get("id") and not _repeats(fields["data"]):
                 self.answered[fields["id"]] = src
             for place, run, count in _sent(one, site):
                 if place in self.streams:
@@ -164,8 +175,22 @@ def lacking(*paths: Path) -> dict[tuple[str, str], int]:
     return {place: count for place, count in counts.items() if count}
 
 
-def check(path: Path, *, commands: bool = False) -> list[str]:
-    """Return a sentence on each fault of a recording; empty if what it tells is what an outsider counts."""
+def channels(path: Path) -> set[tuple[str, str]]:
+    """Return channel and source of every message of a file."""
+    return {(one.channel.topic, one.channel.metadata["src"]) for one in _read(path)[0]}
+
+
+def told(*paths: Path) -> dict[tuple[str, str], int]:
+    """Return how many numbers the files of a recording say to lack, by channel and source."""
+    account = Account(one for path in paths for one in _read(path)[0])
+    return {place: sum(last + 1 - first for first, last in gaps) for place, gaps in account.told.items()}
+
+
+def check(path: Path, *, commands: bool = True) -> list[str]:
+    """Return a sentence on each fault of a recording; empty if what it tells is what an outsider counts.
+
+    `commands`: whether every answered command has to be there, as in the recording of a rig of this version.
+    """
     seen, closed = _read(path)
     account = Account(seen)
     faults, told = account.faults, account.told
@@ -176,17 +201,22 @@ def check(path: Path, *, commands: bool = False) -> list[str]:
         # The newest gaps of a file that was not closed may not be recorded yet.
         sure = every if closed else [part for part, noticed_ns in lacks if noticed_ns < last_ns - TOLD_NS]
         faults += [f"{name}: {first} to {last} are missing and not told" for first, last in _more(sure, told[place])]
-        # A further file may begin with what was noticed in the one before.
-        begin = stream.first
-        false = [part for part in _more(told[place], every) if part[1] >= begin]
+        # A further file may tell of what was noticed in the one before.
+        false = [part for part in _more(told[place], [*every, *account.told_before[place]]) if part[1] >= stream.first]
         faults += [f"{name}: {first} to {last} are told to be missing" for first, last in false]
         faults += [f"{name}: {text}" for text in stream.going_back()]
     if commands:
         unknown = [name for name in account.answered if name not in account.asked]
         faults += [
-            f"{account.answered[name]} acknowledged the command {name}, which is not in the file" for name in unknown
+            f"{account.answered[name]} answered the command {name}, which is not in the file" for name in unknown
         ]
     return [f"{path.name}: {text}" for text in faults]
+
+
+def _repeats(data: Any) -> bool:
+    """Return whether the data of an answer repeat its command, which may not have reached the recorder."""
+    texts = (data.get(key) for key in ("command", "target", "giver")) if isinstance(data, dict) else [None]
+    return all(isinstance(text, str) for text in texts)
 
 
 def _sent(one: Seen, site: str) -> Iterator[tuple[tuple[str, str], int | None, int]]:
@@ -248,6 +278,6 @@ def _read(path: Path) -> tuple[list[Seen], bool]:
 
 
 if __name__ == "__main__":
-    found = [text for name in sys.argv[1:] for text in check(Path(name), commands=True)]
+    found = [text for name in sys.argv[1:] for text in check(Path(name))]
     sys.stdout.write("".join(f"{text}\n" for text in found) or "told is counted\n")
     sys.exit(bool(found))

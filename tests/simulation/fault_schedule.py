@@ -179,7 +179,9 @@ def _process(dice: random.Random, at_s: float) -> list[Event]:
     if dice.random() < 0.5:
         return [{"at_s": at_s, "kind": "stall", "node": node, "for_s": dice.choice([0.03, 0.08, 0.2, 0.6, 1.5])}]
     after = dice.choice([0, 0, 1, 2, 3])
-    return [{"at_s": at_s, "kind": "kill", "node": node, "after": after, "torn": dice.choice([0.0, 0.5, 1.0])}]
+    kill = {"at_s": at_s, "kind": "kill", "node": node, "after": after, "torn": dice.choice([0.0, 0.5, 1.0])}
+    # A process may also end in order, or by an error in a turn, and announces that.
+    return [kill | {"how": dice.choice(["killed", "killed", "ended", "failed"])}]
 
 
 def _disk(dice: random.Random, at_s: float) -> list[Event]:

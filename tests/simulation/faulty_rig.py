@@ -32,6 +32,7 @@ from telenano.runtime.loop.commands import Command, CommandClient
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.node import Node, NodeContext
 from telenano.runtime.loop.node_loop import NodeLoop
+from telenano.runtime.wiring.main import EXIT_DIED
 from telenano.timing.clock import NEVER_NS, Clock, VirtualClock
 from telenano.virtual.bus import RecorderWay, VirtualBus
 from telenano.virtual.request import SimulateRequest, plan_of
@@ -48,6 +49,8 @@ from telenano.wire.received import Received
 # Messages of a turn have equal stamps, because the stamps of a real process never go back.
 _TIMING = dataclasses.replace(RANDOM_TIMING, sending=(10_000, 10_001))
 _KILLED = -9
+# Time after the first message of a process that came back until a recorder is connected to it [ns].
+_CONNECTING_NS = (0, 60_000_000)
 _PERSON_NS = 20_000_000
 _STOP_NS = 50_000_000
 _STOP_PATIENCE_NS = 5_000_000_000
@@ -226,6 +229,9 @@ class FaultyRig(SimulatedRig):
         self.ledger: list[tuple[str, str, int, int, int, int]] = []
         self.ways = {name: Way(schedule.seed, name, schedule.delay_s) for name in ("forward", "backward")}
         self._machines: dict[str, MachineClock] = {}
+        # Nodes that were started before, and by endpoint the time from which on a recorder hears it again [ns].
+        self._begun: set[str] = set()
+        self._connected_ns: dict[str, int] = {}
         self._clock_event: Event = next((one for one in schedule.events if one["kind"] == "clock"), {})
         self._sets_clocks = any(one["kind"] in ("clock", "site_restart") for one in schedule.events)
         self._doomed: dict[str, int] = {}
@@ -354,7 +360,9 @@ class FaultyRig(SimulatedRig):
         self.faulty_disk.begin(event["site"], event["fault"], event["for_s"])
 
     def _on_kill(self, event: Event) -> None:
-        if event["after"]:
+        if event.get("how", "killed") != "killed":
+            self._end(event["node"], failed=event["how"] == "failed")
+        elif event["after"]:
             self._doomed[event["node"]] = event["after"]
         else:
             self._kill(event["node"], event["torn"])
@@ -410,10 +418,28 @@ class FaultyRig(SimulatedRig):
         self.leave(key)
         self._processes.died(key, _KILLED)
 
+    def _end(self, key: str, *, failed: bool) -> None:
+        """End a process in order, as a signal does, or by an error in one of its turns."""
+        if key not in self.loops:
+            return
+        if failed:
+            self.loops[key].report_failure(RuntimeError("an error of the schedule"))
+        self.end(key)
+        self._processes.died(key, EXIT_DIED if failed else 0)
+
+    def _hears(self, endpoint: str, sent_ns: int) -> bool:
+        """Return whether recorders are connected to an endpoint; to one that came back, some time after it sends."""
+        if self._connected_ns.get(endpoint) == NEVER_NS:
+            self._connected_ns[endpoint] = sent_ns + self.draw(_CONNECTING_NS, "connecting", endpoint)
+        return sent_ns >= self._connected_ns.get(endpoint, 0)
+
     def start(self, key: str, takes_ns: int = 0, **options: Any) -> Node:
         """Start a process, with new endpoints."""
         if key == LINK:
             self._endpoints.pop(LINK_ENDPOINT, None)
+        if key in self._begun:
+            self._connected_ns |= dict.fromkeys((LINK, LINK_ENDPOINT) if key == LINK else (key,), NEVER_NS)
+        self._begun.add(key)
         self.note("started", node=key)
         return super().start(key, takes_ns, **options)
 
@@ -469,12 +495,14 @@ class FaultyRig(SimulatedRig):
 
     def _record(self, src: str, topic: str, payload: bytes, sent_ns: int) -> None:
         """Deliver a message to the recorders; messages of the link reach the slave's recorder over the network."""
+        is_heard = self._hears(src, sent_ns)
         if src != LINK_ENDPOINT:
-            super()._record(src, topic, payload, sent_ns)
+            if is_heard:
+                super()._record(src, topic, payload, sent_ns)
             return
         # The readers at the slave's site get the same copies.
         self._fate = (payload, self._crossing("forward", topic, payload, sent_ns))
-        for bus, way in self._recording(src, topic):
+        for bus, way in self._recording(src, topic) if is_heard else ():
             near = bus.key != FAR_RECORDER
             for copy in self._fate[1] if not near else [None]:
                 self._order += 1

@@ -256,7 +256,9 @@ def _judge_window(session: Session) -> Iterator[Break]:
     for act in session.acts:
         if act["what"] != "press" or act["site"] != "master" or TIP not in act["devices"] or LINK not in act["kept"]:
             continue
-        until_s = min(obeyed.get(act["id"], session.end_s), session.end_s)
+        # An event that no recorder has heard may be the answer.
+        unheard_s = [sent_s for sent_s in session.missing(TIP, "session/event") if sent_s > act["at_s"]]
+        until_s = min(obeyed.get(act["id"], session.end_s), session.end_s, *unheard_s)
         for late_s in [one.sent_s for one in samples if act["at_s"] + session.grain_s < one.sent_s < until_s][:1]:
             text = f"a sample sent {late_s - act['at_s']:.3f} s after a stop has crossed before it was obeyed"
             yield Break("stop_is_last", late_s, text)

@@ -11,6 +11,7 @@ from pathlib import Path
 import campaign
 import faulty_rig
 import msgpack
+import outside_judge
 import pytest
 from campaign import INVARIANTS, Tried, tried
 from fault_schedule import KINDS, LINK, RATES_HZ, TIP, Event, Schedule
@@ -232,3 +233,29 @@ def test_hours_of_schedules_break_no_invariant_and_reach_every_situation() -> No
     tally = campaign.Tally(list(campaign.campaign(SEED_OF_THE_DAY + 500, HOURS)))
     assert [text for one in tally.schedules for text in unexpected(one)] == []
     assert {name for name in SITUATIONS if not tally.reached()[name]} == set()
+
+
+@pytest.mark.check("takes 3 s for each of the three steps")
+@pytest.mark.parametrize(
+    ("law", "step_s"), [("wave", (0.02, 0.08)), ("passivity", (0.001, 0.06)), ("virtual_impedance", (0.05, 0.1))]
+)
+def test_a_step_of_the_delay_holds_the_tip_and_withdraws_nothing(
+    tmp_path: Path, step_s: tuple[float, float], law: str
+) -> None:
+    before_s, after_s = step_s
+    step: Event = {"at_s": 2.0, "kind": "delay", "forward_s": after_s, "backward_s": after_s}
+    faulty_rig.run(Schedule(31, law, before_s, 0.0, (step,), 250.0), tmp_path)
+    (tmp_path / "verdict.json").write_text("{}", encoding="utf-8")
+    session = outside_judge.Session(tmp_path)
+    (begun_s,) = [one["at_s"] for one in session.events("delay")]
+    # Until a person arms again, as the schedule lets one do after all its events.
+    modes = {
+        device: [(one.sent_s - begun_s, one.fields["mode"]) for one in session.direct[device, topic]]
+        for device, topic in ((TIP, "afm/state"), (outside_judge.HAND, "haptic/state"))
+    }
+    tip = [mode for at_s, mode in modes[TIP] if 0.0 < at_s < 0.6]
+    assert set(tip) <= {"follow", "hold"}
+    assert tip[-1] == "follow"
+    off_s = [at_s for at_s, mode in modes[outside_judge.HAND] if 0.0 < at_s < 0.6 and mode == "off"]
+    # The hand comes back within 0.3 s, or as soon as the first answers over the longer way have come for 60 ms.
+    assert max(off_s, default=0.0) <= max(0.3, 2.0 * after_s + 0.1)

@@ -13,6 +13,7 @@ from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.keyboard import RawKeyboard
 from telenano.cli.options import JsonOption, RigFileOption, SiteOption, TargetOption
 from telenano.cli.output import print_answer, print_json, report_errors
+from telenano.console.answers import kind_of
 from telenano.console.coupling import recouple
 from telenano.console.going_back import WayBack, go_back
 from telenano.console.lease import CONSOLE
@@ -47,7 +48,10 @@ def session(
     take: Annotated[bool, typer.Option("--take", help="Take control from a page for this command.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Send a command to a running rig and wait for the answers; exit code 1 if one is refused or missing.
+    """Send a command to a running rig and wait for the answers; exit code 1 unless all who are asked acknowledge it.
+
+    Who is asked follows from site file and target; a pattern such as * asks those that obey the command without their
+    name. From the instrument's site the nodes of the other one are out of reach.
 
     `arm` starts nothing: tip and hand stay where they are. With --return the tip goes back to its place, or to place_m
     at speed_m_per_s.
@@ -126,7 +130,7 @@ def send_command(
         else:
             answers = send_control(wanted, book_file, at, show, issued_ns=issued_ns)
     if as_json:
-        rows = {src: {"kind": event.kind, "text": event.text} for src, event in sorted(answers.items())}
+        rows = {src: {"kind": kind_of(event.kind), "text": event.text} for src, event in sorted(answers.items())}
         print_json({"command": command, "target": target, "answers": rows})
     elif command == "arm" and (hint := _way_back(answers.values())):
         typer.echo(hint)

@@ -162,7 +162,10 @@ def _lines(document: Mapping[str, Any]) -> Iterator[tuple[str, Text]]:
         yield f"AFM {afm['src']}", Text(" · ".join([afm["mode"], *notes]), "red" if afm["mode"] == "estop" else "")
     for node in document["nodes"]:
         if node["node"].startswith("recorder@") and node["heard"]:
-            yield node["node"], Text(f"{node['state']} · {node['received']} messages received · {node['lost']} lost")
+            text = f"{node['state']} · {node['received']} messages received · {node['lost']} lost"
+            if node["state"] == "safe":
+                text = f"nothing is written · {node['received']} messages received"
+            yield node["node"], Text(text, "red" if node["state"] == "safe" else "")
     yield from (("connection", Text(text)) for text in document["connections"])
     for event in document["events"]:
         yield f"event {event['src']}", Text(event["text"], LEVEL_STYLES[event["level"]])

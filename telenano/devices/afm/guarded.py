@@ -337,19 +337,34 @@ class GuardedInstrument:
 
     def step(self, memory: AfmMemory, asked: safety.SafetyInputs, wanted: Wanted[Any], elapsed_s: float) -> Step:
         """Pass the inputs through the guard, apply the base that it allows, and measure."""
-        if memory.away and not asked.device_lost:
-            memory.guard = safety.found_at(memory.guard, memory.found_m)
-        memory.away = asked.device_lost
+        self._find(memory, asked.device_lost)
+        followed = memory.guard.mode in (safety.MODE_FOLLOW, safety.MODE_HOLD)
         memory.guard, allowed = safety.safety_step(self._limits, memory.guard, asked, elapsed_s)
+        if followed and allowed.mode not in (safety.MODE_FOLLOW, safety.MODE_HOLD) and self._driver.report is not None:
+            # A slow instrument must not go on, after it was made safe, to where the guard had let it go before.
+            memory.guard = safety.found_at(memory.guard, memory.found_m)
+            allowed = allowed._replace(base_m=memory.guard.base_m)
         step = Step(asked, allowed, wanted, elapsed_s)
         self.parts.prepare(step, memory)
         # A tapping tip vibrates until it is retracted: at rest it would lie on the sample, and push particles aside.
         if not step.follows and allowed.base_m <= self._limits.retract_position_m:
             self._vibration.vibrate(0.0)
-        step.sample = self._driver.exchange(allowed.base_m)
+        # Until a fresh reading tells where the base of a device that comes back is, it is asked for no other place.
+        safe_m = self._driver.safe_position_m if memory.away else allowed.base_m
+        step.sample = self._driver.exchange(min(allowed.base_m, safe_m))
         memory.force_n, memory.found_m = step.sample.force_n, step.sample.base_m
         self.parts.measure(step, memory)
         return step
+
+    def _find(self, memory: AfmMemory, is_lost: bool) -> None:
+        """Let the base of a device that has come back be where its first fresh reading finds it."""
+        report = self._driver.report
+        if is_lost:
+            memory.away = True
+        elif memory.away and (report is None or report.status == "ok"):
+            # Its driver has just sent it to its place of safety, and a slow reading may still show the way there.
+            found_m = min(memory.found_m, self._driver.safe_position_m)
+            memory.guard, memory.away = safety.found_at(memory.guard, found_m), False
 
     def step_program(
         self, memory: AfmMemory, programs: ProgramRunner, elapsed_s: float, estop: bool = False, lost: bool = False

@@ -162,7 +162,8 @@ class ModbusAfm(TcpDriver[InstrumentCalibration]):
             if self.retractions is not None:
                 self.retractions += self._preparation.trips
             self._sent_v = self.calibration.stage.retract_v
-            self._answered_ns = self._cycle_ns = self._sampled_ns = now_ns
+            # The sample from before a loss remains the newest one, and old, until this connection has given another.
+            self._answered_ns = self._cycle_ns = now_ns
             self._come_up(self._identity)
             self._start_cycle(now_ns)
 

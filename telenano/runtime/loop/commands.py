@@ -36,10 +36,6 @@ RESEND_NS = 200_000_000
 DEADLINE_NS = 5_000_000_000
 _RETRY_PERIOD_NS = 300_000_000
 _RELEASE_PERIOD_NS = 1_000_000_000
-# Time within which every live node has reported twice.
-_DISCOVERY_NS = 1_200_000_000
-# After this time without a further answer to a pattern, every node that knows the command has answered.
-_QUIET_NS = 500_000_000
 _REMEMBERED_ANSWERS = 256
 
 DEFAULT_VALIDITY_S = 1.0
@@ -56,9 +52,9 @@ STALL_NS = round(DEFAULT_VALIDITY_S * 1e9)
 class Command:
     """A command and the `expected` nodes (node@site) that have to answer it.
 
-    There are none for a pattern, where the nodes that know the command answer. After a failed command that is not
-    `required`, the next one follows all the same. `by` is the name of the giver of the command. With `placed`, the
-    command is over only when the instrument reports, after its answer, that the tip is placed.
+    Who is asked by a pattern follows from the site file (`telenano.console.send_commands.asked`). After a failed
+    command that is not `required`, the next one follows all the same. `by` is the name of the giver of the command.
+    With `placed`, the command is over only when the instrument reports, after its answer, that the tip is placed.
     """
 
     name: CommandName
@@ -80,9 +76,6 @@ class Command:
 
 class CommandClient:
     """Sends commands one after the other, each until it is answered, refused for good, or out of time.
-
-    The nodes that a pattern concerns are not known beforehand: the client waits for answers until every live node has
-    reported, and then until no more answers come.
 
     `failure` is the reason why a required command failed; `tolerated_failures` has those of the other commands by
     target. `answers` are the answers to the last command by node, including refusals; `ids` has the id of each answered
@@ -114,6 +107,9 @@ class CommandClient:
             releases_stops: False if the commands do not come from a person who knows of earlier stops; the client then
                 waits until a person releases a node in emergency stop.
             token: Returns a random number of this many bytes, as hexadecimal text, unique to this sender.
+
+        Raises:
+            ValueError: No node is expected to answer one of the commands.
         """
         self.failure = ""
         self.void = False
@@ -125,6 +121,8 @@ class CommandClient:
         self._clock = clock
         self._publish = publish
         self._commands = deque(commands)
+        if silent := [command.name for command in self._commands if not command.expected]:
+            raise ValueError(f"{', '.join(silent)}: no node is expected to answer")
         self._motions = [command for command in self._commands if command.begins_motion]
         self._retry_ns = retry_ns
         # Random and without a time, so that ids of two senders differ whatever their clocks show.
@@ -141,7 +139,7 @@ class CommandClient:
         # Nodes whose motion to their place was ended by another cause.
         self._ended: set[str] = set()
         self._expected: set[str] = set()
-        self._begun_ns = self._issued_ns = self._next_ns = self._last_answer_ns = self._deadline_ns = 0
+        self._begun_ns = self._issued_ns = self._next_ns = self._deadline_ns = 0
         self._wished_ns = clock.monotonic_ns() if issued_ns is None else issued_ns
         self._releases_stops = releases_stops
         # Refusals that the current command quotes, by node, and their shortest round trip.
@@ -180,11 +178,10 @@ class CommandClient:
             self._record_quotation(event)
             return False
         self.answers[event.src] = event
-        self._last_answer_ns = self._clock.monotonic_ns()
         if self._command is not None and self._command.placed:
             # The tip may still wait for the first command of an armed hand, or may already have set a later deadline by
             # the time that it needs.
-            self._deadline_ns = max(self._deadline_ns, self._last_answer_ns + self._command.deadline_ns)
+            self._deadline_ns = max(self._deadline_ns, self._clock.monotonic_ns() + self._command.deadline_ns)
         return True
 
     def _record_way(self, command: Command, event: SessionEvent) -> None:
@@ -252,9 +249,8 @@ class CommandClient:
 
     @property
     def is_unanswered(self) -> bool:
-        """Whether an expected node has neither answered nor refused; without expected nodes, whether none has."""
-        heard = {*self.answers, *self._quoted}
-        return not self._expected <= heard if self._expected else not heard
+        """Whether an expected node has neither answered nor refused."""
+        return not self._expected <= {*self.answers, *self._quoted}
 
     @property
     def has_all_answers(self) -> bool:
@@ -271,7 +267,7 @@ class CommandClient:
         self._on_the_way, self._placed, self._expected = {}, set(), set(command.expected)
         self._ended = set()
         self._issued += 1
-        self._issued_ns = self._next_ns = self._last_answer_ns = self._clock.monotonic_ns()
+        self._issued_ns = self._next_ns = self._clock.monotonic_ns()
         self._deadline_ns = self._issued_ns + command.deadline_ns
 
     def _would_move(self, node: str) -> bool:
@@ -333,9 +329,9 @@ class CommandClient:
     def _advance(self, command: Command) -> bool:
         """Return whether the current command is over."""
         now = self._clock.monotonic_ns()
-        if self._answered(command, now) or now >= self._deadline_ns:
+        if self._answered(command) or now >= self._deadline_ns:
             return self._conclude(command, now)
-        if now >= self._next_ns and not (command.expected and self.has_all_answers):
+        if now >= self._next_ns and not self.has_all_answers:
             self._next_ns = now + RESEND_NS
             self._publish(
                 "session/control",
@@ -348,12 +344,9 @@ class CommandClient:
             )
         return False
 
-    def _answered(self, command: Command, now_ns: int) -> bool:
-        if command.expected:
-            is_placed = not command.placed or bool(self.refusals) or self._expected <= self._placed
-            return self.has_all_answers and is_placed
-        settled = now_ns - self._issued_ns >= _DISCOVERY_NS and now_ns - self._last_answer_ns >= _QUIET_NS
-        return settled and bool(self.answers)
+    def _answered(self, command: Command) -> bool:
+        is_placed = not command.placed or bool(self.refusals) or self._expected <= self._placed
+        return self.has_all_answers and is_placed
 
     def _conclude(self, command: Command, now_ns: int) -> bool:
         """Record the outcome of a command; return whether it is over, False if it will be tried again."""
@@ -382,8 +375,6 @@ class CommandClient:
         reasons = [f"{event.src} refused {command.name}: {event.text}" for event in refusals]
         if missing:
             reasons.append(f"{', '.join(missing)} did not answer {command.name} in time")
-        elif not self.answers and not quoted:
-            reasons.append(f"no node answered {command.name}")
         elif command.placed and not reasons:
             waited_s = 1e-9 * (self._clock.monotonic_ns() - self._issued_ns)
             for node in sorted(set(command.expected) - self._placed):

@@ -73,8 +73,8 @@ SLAVE_HALF, MASTER_HALF = "controller@slave", "controller@master"
         (Here((TIP, LINK)), "", Reach(direct=(TIP,), absent=(HAND,))),
         (Here((TIP,), older=(MASTER_HALF,)), "slave", Reach(direct=(TIP,), absent=(HAND,))),
         (Here((TIP, LINK), networked=(HAND,)), "", Reach(direct=(TIP,), by_instrument=(HAND,))),
-        # the instrument does not run either, and its other nodes do
-        (Here(older=("launcher@slave",)), "", Reach(absent=(TIP,), far=(HAND,))),
+        # the instrument does not run either, and its other nodes do; a launcher starts it again, and then it carries
+        (Here(older=("launcher@slave",)), "", Reach(absent=(TIP,), by_instrument=(HAND,))),
         (Here(older=(SLAVE_HALF,)), "slave", Reach(absent=(TIP,), far=(HAND,))),
         (Here(older=("launcher@master",)), "", Reach(absent=(HAND,), far=(TIP,))),
         # nothing runs here
@@ -87,6 +87,10 @@ def test_each_device_is_reached_the_shortest_way(
     monkeypatch: pytest.MonkeyPatch, here: Here, site: str, way: Reach
 ) -> None:
     assert reach(monkeypatch, here, site) == way
+
+
+def test_an_instrument_that_is_not_stopped_carries_no_stop_to_the_hand(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert reach(monkeypatch, Here((TIP,)), "", "haptic_node") == Reach(far=(HAND,))
 
 
 @pytest.mark.parametrize(

@@ -3,12 +3,17 @@
 What is counted comes from `told_and_counted`, which reads the files without anything of this project.
 """
 
+import errno
+import io
 from contextlib import closing
+from itertools import groupby
 from pathlib import Path
+from typing import IO, Any, cast
 
 import pytest
 import told_and_counted
 
+from telenano.recording.disk import OwnDisk
 from telenano.recording.multi_file import open_recordings
 from telenano.recording.verify import verify
 from telenano.timing.clock import Clock
@@ -145,3 +150,74 @@ def is_lossy(who: str, how: str) -> bool:
     """Return whether a case loses messages at all: of a node, the first ones before the recorder is connected."""
     away_s, connecting_s, _ = HOW[how]
     return connecting_s > 0.0 or LINK_NODE in PROCESSES[who] or (who == "the recorder" and away_s > 0.0)
+
+
+class FullDisk(OwnDisk):
+    """A disk that is full at times: a write that finds no room is incomplete, as on a real one."""
+
+    def __init__(self) -> None:
+        self.is_full = False
+
+    def create(self, path: Path) -> IO[bytes]:
+        disk, file = self, super().create(path)
+
+        class Limited(io.BufferedWriter):
+            def write(self, data: Any) -> int:
+                if disk.is_full:
+                    super().write(memoryview(data)[: len(data) // 2])
+                    raise OSError(errno.ENOSPC, "No space left on device")
+                return super().write(data)
+
+        return Limited(cast(io.BufferedWriter, file).detach())
+
+    def free_bytes(self, path: Path) -> int | None:
+        return 0 if self.is_full else None
+
+
+@pytest.mark.check("takes 1 s each")
+@pytest.mark.parametrize("at_s", [(0.7,), (0.31, 1.8), (0.9, 2.6, 4.1)])
+def test_a_recording_goes_on_when_its_disk_has_room_again_and_says_what_it_lost(
+    tmp_path: Path, at_s: tuple[float, ...]
+) -> None:
+    disk = FullDisk()
+    with closing(VirtualRig(tmp_path, 3, ["realtime.rate_hz=250"], disk=disk)) as rig:
+        intake, node = rig.loops[RECORDER].node._intake, rig.loops[RECORDER].node
+        for full_s in at_s:
+            rig.run_until(full_s)
+            disk.is_full = True
+            rig.run_until(full_s + 0.4)
+            assert "No space left on device" in intake.fault
+            assert (node.state, node.status().partition(":")[0]) == ("safe", "not recording")
+            disk.is_full = False
+            rig.run_until(full_s + 1.6)
+            assert (intake.fault, node.state) == ("", "running")
+        rig.run_until(at_s[-1] + 2.0)
+        rig.finish()
+    paths = sorted(tmp_path.glob("session*.mcap"))
+    assert len(paths) == 1 + len(at_s)
+    counted = told_and_counted.lacking(*paths)
+    assert min(counted[channel, src] for channel, src in (("haptic/state", HAND), ("afm/state", TIP))) > 100
+    # The further files begin with the gaps of what was received and not written; what was received before there was
+    # anything in the first file, only the recorder knows.
+    told, begun = told_and_counted.told(*paths), told_and_counted.channels(paths[0])
+    assert {place: count for place, count in told.items() if place in begun} == {
+        place: count for place, count in counted.items() if place in begun
+    }
+    assert all(told[place] >= count for place, count in counted.items())
+    information = open_recordings(paths).info()
+    assert {(one.channel_topic, one.src): one.lost for one in information.channels if one.lost} == counted
+    assert information.lost == sum(counted.values())
+    notes = [text for text in information.missing if text.startswith("nothing was recorded for") and "No space" in text]
+    assert len(notes) == len(at_s)
+    events = [event for event in rig.received("session/event", RECORDER) if event.kind == "recording"]
+    # A fault is repeated every second for who connects later.
+    states = [state for state, _ in groupby(str(event.data["state"]) for event in events)]
+    assert states == ["started", *("failed", "started", "resumed") * len(at_s), "finished"]
+
+
+def test_a_quota_that_is_used_up_stays_the_end(tmp_path: Path) -> None:
+    settings = ["realtime.rate_hz=100", "recorder.quota_bytes=100000", "recorder.quota_policy=stop"]
+    with closing(VirtualRig(tmp_path, 3, settings)) as rig:
+        rig.run_until(3.0)
+        assert "quota" in rig.loops[RECORDER].node._intake.fault
+    assert [path.name for path in tmp_path.glob("session*.mcap")] == ["session.mcap"]

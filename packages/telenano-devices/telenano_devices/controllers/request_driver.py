@@ -17,6 +17,8 @@ from telenano_devices.controllers.request_answer import Cut, Incoming, Talk
 _MS = 1_000_000
 # Greatest speed towards the sample, as a multiple of that of the guard: its steps and those of a cycle do not coincide.
 _SLEW = 2.0
+# Longest time between two values of z for which the base catches up [ns], so that a pause ends with no jump.
+_CYCLE_NS = 8 * _MS
 
 
 K = TypeVar("K", bound=ControllerCalibration)
@@ -118,7 +120,7 @@ class RequestDriver(TcpDriver[K]):
         if not self._history:
             return self.calibration.z.retract_m
         sent_ns, sent_m = self._history[-1]
-        reach_m = _SLEW * self._limits.base_speed_m_per_s * max(self._now_ns() - sent_ns, 0) * 1e-9
+        reach_m = _SLEW * self._limits.base_speed_m_per_s * min(max(self._now_ns() - sent_ns, 0), _CYCLE_NS) * 1e-9
         return wanted_m if towards * (wanted_m - sent_m) <= reach_m else sent_m + towards * reach_m
 
     def begin_cycles(self, identity: str) -> None:

@@ -43,7 +43,7 @@ class ControllerRig(InstrumentRig):
         while abs(bases[-1] - x_s_m) > 1e-12:
             self.tick(1, x_s_m)
             bases.append(self.line.base_m)
-            assert len(bases) < 500, bases[-3:]
+            assert len(bases) < 1500, bases[-3:]
         return bases
 
 

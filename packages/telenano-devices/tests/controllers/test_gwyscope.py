@@ -41,7 +41,8 @@ gwyfile: Any = pytest.importorskip("gwyfile", reason="the messages are compared 
 MS = 1_000_000
 
 # of the base in the three periods of the longest cycle, at the guard's speed
-STEP_M = 3e-3 * PARAMS.safety.base_speed_m_per_s * 1.001
+# The base takes what the guard lets it go in the 3 or 4 ms between two samples of the server.
+STEP_M = PARAMS.safety.base_speed_m_per_s * 4.003e-3
 GOLDEN = {
     "4753000b000000746f646f00737265616400": {"todo": "read"},
     "4753002e000000746f646f00737365745f666565646261636b00666565646261636b0062007a7069657a6f00643fabcc94d6dfd23e": {
@@ -125,7 +126,7 @@ def test_identifies_measures_the_tick_retracts_and_follows(line: Gwyscope) -> No
     assert line.driver.report.status == "ok"
     assert "Gwyscope 4.1.19 (telenano's emulator), a sample every 3 ms is ready" in line.driver.report.text
     assert line.model.z_m == 0.0
-    line.follow(RETRACTED_M, 3)
+    line.follow(RETRACTED_M, 600)
     sample = line.follow(0.0, 300)
     assert sample.base_m == pytest.approx(0.0, abs=1e-15)
     assert not sample.distance_valid
@@ -142,7 +143,7 @@ def test_the_tick_is_measured_by_the_stamps_of_the_server(tick_ms: float) -> Non
 
 
 def test_a_ramp_is_followed_with_the_declared_latency(line: Gwyscope) -> None:
-    line.follow(RETRACTED_M, 5)
+    line.follow(RETRACTED_M, 600)
     speed = 1e-7
     lags = []
     for step in range(600):
@@ -158,7 +159,7 @@ def test_force_is_that_of_the_simulated_instrument() -> None:
     line.driver.open()
     simulated = instrument_of()
     simulated.open()
-    line.follow(RETRACTED_M, 5)
+    line.follow(RETRACTED_M, 600)
     for base_m in (0.0, 8e-9, 14e-9, 20e-9):
         sample = line.follow(base_m, 40)
         same = simulated.exchange(base_m)
@@ -178,7 +179,7 @@ def test_age_of_a_sample_is_the_oldest_that_it_can_be(line: Gwyscope) -> None:
 
 
 def test_tip_goes_over_the_sample_while_z_is_the_rigs(line: Gwyscope) -> None:
-    line.follow(RETRACTED_M, 5)
+    line.follow(RETRACTED_M, 600)
     line.follow(NEAR_M, 60)
     stage = line.driver.stage
     assert stage is not None
@@ -384,8 +385,7 @@ def approach(rig: ControllerRig) -> None:
     """Arm, and follow to the place near the sample, no faster than the guard lets the base go."""
     rig.tick(8, NEAR_M)
     bases = rig.arm_and_follow_to(NEAR_M)
-    # from the safe state, z = 0, to the retract position of the guard, where the tip is nowhere near the sample
-    assert max(b - a for a, b in pairwise(bases) if a > RETRACTED_M) <= STEP_M
+    assert max(b - a for a, b in pairwise(bases)) <= STEP_M
     # and a place over the sample that it has reached
     rig.tick(40, NEAR_M, (1e-8, 0.0))
     state = rig.bench.take("afm/state")[-1]

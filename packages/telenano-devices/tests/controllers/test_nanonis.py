@@ -329,7 +329,7 @@ def test_a_frequency_shift_is_felt_through_the_driver(bench_of: Any, tmp_path: P
     rig = ControllerRig(bench_of("afm_node@slave"), line, config)
     rig.tick(80, RETRACTED_M)
     rig.control("arm", place="hand")
-    rig.tick(150, 0.0)
+    rig.tick(700, 0.0)
     for z_m in (1.9e-9, 1.5e-9, 1.1e-9, 0.9e-9, 0.7e-9):
         rig.tick(80, 2e-9 - z_m)
         state = rig.bench.take("afm/state")[-1]
