@@ -60,7 +60,7 @@ def test_the_loop_the_page_and_a_stop_go_on_where_the_folder_of_sockets_is_full(
         number = taken["lease"]["number"]
         armed = page.ask(k="command", command="arm", target="haptic_node", parameters={}, lease=number)
         assert "earlier lease" not in armed["text"] and "holds control" not in armed["text"], armed
-        for words in (("session", "arm", "--take"), ("view", "--for", "Tina", "--role", "teacher")):
+        for words in (("session", "arm", "--take"), ("view", "--for", "Tina", "--role", "operator")):
             done = rig.telenano(*words)
             assert done.returncode == 1, (words, done)
             assert str(rig.sockets) in done.stderr and "No space left on device" in done.stderr, done.stderr

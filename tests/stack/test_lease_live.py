@@ -41,7 +41,7 @@ def closing_all() -> Iterator[ExitStack]:
 
 
 class Pressing:
-    """A page of the teacher in a process of its own, which has the hand and presses."""
+    """A page of a person in a process of its own, which has the hand and presses."""
 
     def __init__(self, rig: Rig, address: str, log: Path) -> None:
         self._log = log
@@ -101,7 +101,7 @@ def test_who_vanishes_loses_the_hand_and_the_tip_is_withdrawn_and_a_hand_that_is
     stack = closing_all
     views = [View(rig.environment)]
     stack.callback(lambda: views[-1].close())
-    given = rig.telenano("view", "--for", "Tina", "--role", "teacher")
+    given = rig.telenano("view", "--for", "Tina", "--role", "operator")
     assert given.returncode == 0, given.stderr
     token = given.stdout.strip().rpartition("#")[2]
 

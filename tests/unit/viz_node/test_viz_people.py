@@ -219,7 +219,8 @@ def test_a_revoked_address_is_closed_at_once_told_so_and_counted(
         otto.take("answer")
     until(lambda: rig.hand[-1] == 0.0)
     # it pressed, and the tip is withdrawn as that of a hand that is lost
-    until(lambda: rig.commander.sent == [("stop", "afm_node@slave", {})])
+    until(lambda: [each[:2] for each in rig.commander.sent] == [("stop", "afm_node@slave")])
+    assert rig.commander.sent[0][2]["because"] == f"{OTTO} was closed while it pressed: the tip is withdrawn"
     again = Page(stack, client, token)
     assert again.take("refused")["text"] == hubs.REVOKED
     assert rig.hub.desk.refused.rejected == {"revoked": 2}
