@@ -71,8 +71,7 @@ def timed_command(text: str) -> TimedCommand:
             sign = ""
         if not sign or not key or not isinstance(parameters.get(key), bool | int | float | str):
             raise ConfigError(f"--at {text!r}: {word!r} is not of the form KEY=VALUE, with a number, a word or a flag")
-    expected = (target,) if "@" in target and not set(target) & set("*?[") else ()
-    return TimedCommand(time_s, Command(name, target, expected, parameters))  # type: ignore[arg-type]
+    return TimedCommand(time_s, Command(name, target, parameters=parameters))  # type: ignore[arg-type]
 
 
 def plan_of(request: SimulateRequest, default_out: Path) -> Plan:

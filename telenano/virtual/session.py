@@ -9,9 +9,11 @@ The recording is in the folder of the plan.
 import json
 import traceback
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
+from telenano.console.send_commands import asked
 from telenano.launcher.plan import Plan
 from telenano.launcher.processes import StopObserver
 from telenano.launcher.rig_node import RigNode
@@ -205,8 +207,16 @@ class SimulatedRig(Engine):
         self.run_node(LAUNCHER, self.launcher, bus)
         if commands:
             console = VirtualBus(self, CONSOLE, ConsoleNode.inputs)
-            self.console = ConsoleNode(self.wiring(CONSOLE).context(console), commands, self._elapsed_s)
+            given_to = [TimedCommand(time_s, self._asking(command, nodes)) for time_s, command in commands]
+            self.console = ConsoleNode(self.wiring(CONSOLE).context(console), given_to, self._elapsed_s)
             self.run_node(CONSOLE, self.console, console)
+
+    def _asking(self, command: Command, nodes: Sequence[str]) -> Command:
+        """Return a command with the nodes of this rig that have to answer it; ConfigError if there are none."""
+        expected = tuple(node for node in asked(self.book, command).near if node in nodes)
+        if not expected:
+            raise ConfigError(f"{command.name}: no node of this rig is meant by {command.target!r}")
+        return replace(command, expected=expected)
 
     def run(self, observe: Callable[[RigNode], None] = lambda node: None) -> Outcome:
         """Run the session and return its outcome; `observe` is called with the launcher at each of its ticks."""
