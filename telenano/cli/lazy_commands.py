@@ -209,10 +209,15 @@ def _plain(command: Any, path: tuple[str, ...]) -> Any:
     return command
 
 
-def _choose_rig(name: str | None) -> None:
+# Key of the rig that `--rig` names, in the facts of an invocation.
+NAMED_RIG = "telenano.rig"
+
+
+def _choose_rig(context: typer.Context, name: str | None) -> None:
     """Make this process and its children use the rig of this name; None changes nothing."""
     if name is None:
         return
+    context.meta[NAMED_RIG] = name
     # An emergency stop has no time for these imports.
     from telenano.cli.output import report_errors
     from telenano.runtime.security.private_files import check_rig_name

@@ -144,6 +144,7 @@ def test_pages_of_all_roles_and_the_metrics_outlive_them(reader: Subscriber, mes
     assert sum(hub.left_out.rejected.values()) < 0.05 * len(shown)
 
 
+@pytest.mark.unchecked("its numbers and answers are made up")
 def test_a_recorder_keeps_them_as_they_came(
     reader: Subscriber, messages: list[tuple[str, bytes]], tmp_path: Path
 ) -> None:

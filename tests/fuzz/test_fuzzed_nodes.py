@@ -101,6 +101,7 @@ def test_one_valid_message_no_longer_ends_a_controller(
     assert bus.published >= 6
 
 
+@pytest.mark.unchecked("its numbers and answers are made up")
 def test_six_frames_with_made_up_numbers_no_longer_end_the_recorder(node_on_bus: Any) -> None:
     bus, loop = node_on_bus("recorder@master")
     for source in ("a@slave", "b@slave", "c@slave"):

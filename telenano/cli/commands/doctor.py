@@ -18,13 +18,14 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from telenano.cli.lazy_commands import NAMED_RIG
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import console, fail, print_answer, print_json, report_errors
 from telenano.doctor import checks
 from telenano.doctor.devices import check_instrument, check_serial_ports
 from telenano.extend.checks import Finding
 from telenano.launcher.processors import held, shared_folder
-from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, rigs_with_folders
+from telenano.runtime.bus.local_endpoint import FIRST_RIG, rigs_with_folders
 from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.settings.package_topics import installed_topics, row_of
 from telenano.settings.plugins import (
@@ -46,6 +47,7 @@ _STYLES = {"ok": "green", "warning": "yellow", "problem": "red"}
 
 
 def doctor(
+    context: typer.Context,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     stage: Annotated[
         Path | None,
@@ -61,7 +63,7 @@ def doctor(
         if warm:
             compile_models(as_json=as_json)
             return
-        named = os.environ.get(RIG_VARIABLE, FIRST_RIG)
+        named = context.meta.get(NAMED_RIG, FIRST_RIG)
         if named not in rigs_with_folders():
             raise RigError(
                 f"there is no rig {named} on this machine, there are {', '.join(rigs_with_folders())}: leave --rig out "

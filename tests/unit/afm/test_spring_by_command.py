@@ -27,7 +27,7 @@ def force_n(afm: Imager) -> float:
 def spring(bench_of: Any) -> Imager:
     afm = Imager(bench_of("afm_node@slave"), SPRING)
     afm.node.on_message(command(afm))
-    fields = {"id": "b", "command": "arm", "target": "afm_node", "parameters": {"place": "hand"}}
+    fields = {"id": "b", "command": "arm", "target": "afm_node", "parameters": {"place_m": 0.0, "speed_m_per_s": 1e-6}}
     afm.node.on_control(afm.bench.make("session/control", "console@master", **fields))
     return afm
 
