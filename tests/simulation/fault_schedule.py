@@ -31,7 +31,6 @@ was stopped, so that a rig that can go on must do so.
 import json
 import random
 from collections.abc import Callable, Mapping, Sequence
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 Event = dict[str, Any]
@@ -58,9 +57,6 @@ CALM_SHARE = 0.1
 CALM_S = 0.7
 RECOVERY_S = 2.0
 SESSION_S = 8.5
-# Time that a site has besides which begins again with a clock that was set back by more than a second [s]: its messages
-# on a topic count as repetitions (proto/SPEC.md) until eight have come in a row, and an arming is sent every 0.2 s.
-SET_BACK_S = 8 * 0.2
 
 
 class Schedule(NamedTuple):
@@ -128,19 +124,6 @@ class Schedule(NamedTuple):
         """Time at which a person arms: `CALM_S` after the end of the last fault [s]."""
         ends = (one["at_s"] + one.get("for_s", 0.0) for one in self.events)
         return max([*ends, 1.0]) + CALM_S
-
-    @property
-    def recovery_s(self) -> float:
-        """Time after that arming in which hand and tip must follow again [s]."""
-        begins_s = next((one["ahead_s"] for one in self.events if one["kind"] == "clock"), 0.0)
-        leads_s = [begins_s, *(one["ahead_s"] for one in self.events if one["kind"] == "site_restart")]
-        is_set_back = any(then_s < before_s - 1.0 for before_s, then_s in pairwise(leads_s))
-        return RECOVERY_S + (SET_BACK_S if is_set_back else 0.0)
-
-    @property
-    def length_s(self) -> float:
-        """Duration of the session [s]."""
-        return SESSION_S + self.recovery_s - RECOVERY_S
 
 
 def _law(dice: random.Random) -> str:

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, NamedTuple
 from unittest import mock
 
 import msgpack
-from fault_schedule import HAND, LINK, TIP, Event, Schedule
+from fault_schedule import HAND, LINK, RECOVERY_S, SESSION_S, TIP, Event, Schedule
 from faulty_devices import FaultyHand, FaultyTip
 from faulty_disk import FaultyDisk
 from faulty_network import Way
@@ -316,7 +316,7 @@ class FaultyRig(SimulatedRig):
         stopped = any(one["kind"] == "stop" or one.get("node") == HAND for one in self.schedule.events)
         again = (ARM_HAND, PLACE_TIP, *([START] if stopped else []))
         yield calm_s, lambda: self.people["console@master"].give(again, "recover")
-        yield calm_s + self.schedule.recovery_s, lambda: self.note("recovered")
+        yield calm_s + RECOVERY_S, lambda: self.note("recovered")
 
     def _happen(self, event: Event) -> None:
         self.note("event", event=event)
@@ -545,7 +545,7 @@ def scenario_of(schedule: Schedule) -> dict[str, Any]:
     return {
         "name": "faults",
         "description": "A hand presses the tip onto mica twice, while faults happen",
-        "duration_s": schedule.length_s,
+        "duration_s": SESSION_S,
         "realtime": {"rate_hz": schedule.rate_hz},
         "haptic_node": {"operator": {"kind": "force_profile", "points": points}},
         "controller": {"law": schedule.law},

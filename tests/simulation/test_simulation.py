@@ -65,18 +65,6 @@ def test_a_schedule_is_data_that_comes_from_its_seed() -> None:
     assert {one.rate_hz for one in drawn} == set(RATES_HZ)
 
 
-def test_a_site_whose_clock_was_set_back_has_the_time_of_eight_messages_besides() -> None:
-    def recovery_s(*leads_s: float) -> float:
-        clock: Event = {"at_s": 0.0, "kind": "clock", "ahead_s": leads_s[0], "drift_ppm": 0}
-        restarts = [
-            {"at_s": 2.0 + n, "kind": "site_restart", "ahead_s": lead_s} for n, lead_s in enumerate(leads_s[1:])
-        ]
-        return _short(clock, *restarts).recovery_s
-
-    assert [recovery_s(*leads_s) for leads_s in ((-30.0,), (-30.0, 0.0), (0.0, -0.5), (0.2, 7.0, 7.0))] == [2.0] * 4
-    assert [recovery_s(*leads_s) for leads_s in ((0.0, -30.0), (3600.0, 0.5), (0.0, 7.0, 0.0))] == [3.6] * 3
-
-
 @pytest.mark.parametrize("document", [{}, {"seed": 1, "law": "wave", "delay_s": 0.0, "link_s": 0.0, "events": [{}]}])
 def test_what_is_no_schedule_is_refused(document: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=r"schedule|event"):
