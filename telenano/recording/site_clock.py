@@ -44,8 +44,8 @@ _WHOLE_NS = 90 * _NS
 _WINDOW_NS = 2 * _NS
 # Greatest distance between the starts of two windows, unless there are `_MOST_WINDOWS`.
 _STEP_OF_WINDOWS_NS = 90 * _NS
-# Fewest windows, which are as long together as a recording that is read as a whole, and most.
-_FEWEST_WINDOWS = _WHOLE_NS // _WINDOW_NS
+# Fewest windows, which are about as long together as a recording that is read as a whole, and most.
+_FEWEST_WINDOWS = 40
 _MOST_WINDOWS = 64
 # Length of the part of a window in which the tip's samples are examined for causality.
 _CAUSALITY_NS = 2 * _NS

@@ -57,6 +57,8 @@ CANTILEVER_N_PER_M = 40.0
 _CONTACT_M = 1.05e-8
 # Further motion of the base for each newton at the hand [m/N].
 _CONTACT_M_PER_N = 0.65e-9
+# A study compares laws, whose swings grow until a device stops them: its hand has no ends within reach.
+_WIDE = {"position_min_m": -1.0, "position_max_m": 1.0, "max_speed_m_per_s": 10.0}
 # The time for which the hand rests before the first ramp [s].
 _QUIET_S = 0.2
 # The duration of a ramp of the hand's force to its next level [s].
@@ -179,7 +181,8 @@ class Cell(Conditions):
                 names = ", ".join(name for name, law in LAWS.items() if "force_gain" in law.config.model_fields)
                 raise ConfigError(f"--gain: {self.law} has no force gain; {names} has")
             settings = merge(settings, {self.law: {"force_gain": self.gain}})
-        return validate(ControllerConfig, merge(settings, {"law": self.law}), "--set", "controller")
+        whole = merge({"hand_limits": _WIDE}, merge(settings, {"law": self.law}))
+        return validate(ControllerConfig, whole, "--set", "controller")
 
     def hold_s(self) -> tuple[float, float]:
         """Return start and end of the judged hold in session time [s]; ConfigError if it is too short."""
