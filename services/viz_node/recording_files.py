@@ -33,7 +33,7 @@ _REST_S = 0.005
 # Longest wait for a browser that takes nothing of its download [s].
 STALLED_S = 30.0
 ELSEWHERE = (
-    "the file is where the recorder runs, and this server has no access to it: "
+    "The file is where the recorder runs, and this server has no access to it: "
     "`telenano session set record.status=true --target recorder` says where it is. "
     "Copy it from that machine, from a container with `docker cp`; "
     "the part of the far site comes with `telenano bag fetch FOLDER`"
