@@ -18,6 +18,7 @@ from services.viz_node.live import LiveSource
 from services.viz_node.node import page_of_rig
 from services.viz_node.page_server import PageServer
 from services.viz_node.playback import RecordingPlayback
+from services.viz_node.recording_files import RecordingFiles
 from telenano.cli.model_options import validated, with_options
 from telenano.cli.options import SameSessionOption, SiteFileOption, refuse_unused
 from telenano.cli.output import report_errors, say
@@ -186,8 +187,9 @@ def _serve_recording(recordings: RecordingSource, files: Sequence[Path], page: P
         return summary_facts(session.summary, (session.start_ns - recordings.span_ns[0]) * 1e-9)
 
     document = RecordingDocument(recordings, judged, LevelCache(files), judged_before)
+    playback = RecordingPlayback(recordings, time.monotonic)
     with (
-        contextlib.closing(Hub(RecordingPlayback(recordings, time.monotonic), document=document)) as hub,
+        contextlib.closing(Hub(playback, document=document, recording=RecordingFiles.of_paths(files))) as hub,
         contextlib.closing(PageServer(hub, page.access, page.bound, page.tls, page.signals.descriptor)) as server,
     ):
         server.run()

@@ -20,6 +20,7 @@ from services.viz_node.page_hand import HAND_FRESH_S, TICK_S, HandOutlet, PageHa
 from services.viz_node.page_session import REQUESTS_PER_S, Session
 from services.viz_node.page_threads import in_thread
 from services.viz_node.read_desk import ReadDesk
+from services.viz_node.recording_files import RecordingFiles
 from services.viz_node.requests import (
     CommandRequest,
     DocumentRequest,
@@ -29,11 +30,13 @@ from services.viz_node.requests import (
     LeaseRequest,
     PanelRequest,
     PartRequest,
+    RecordingRequest,
     Request,
     TransportRequest,
 )
 from services.viz_node.source import AGE_TOPICS, Source
 from services.viz_node.streams import described
+from telenano.console.answers import MEANINGS
 from telenano.console.lease import Party
 from telenano.console.lease_register import LeaseRegister
 from telenano.recording.messages import LeftOut
@@ -78,6 +81,7 @@ class Hub:
         open_hand: Callable[[], HandOutlet] | None = None,
         document: Document | None = None,
         register: LeaseRegister | None = None,
+        recording: RecordingFiles | None = None,
     ) -> None:
         """Prepare to serve a source.
 
@@ -88,6 +92,7 @@ class Hub:
             open_hand: Opens the outlet for the page's force to the haptic node; None if there is none.
             document: The recording for pages to read; None for a running rig.
             register: The lease that the rig's processes share; None if these pages share it with no other process.
+            recording: The files of the recording for operators to download; None if there are none here.
         """
         self.desk = LeaseDesk(register or OwnRegister())
         # Returns whether the address of a person is still valid.
@@ -105,6 +110,7 @@ class Hub:
         self._forms: Mapping[str, Any] = {}
         self.hand = PageHand(open_hand)
         self._reads = ReadDesk(document)
+        self.recording = recording or RecordingFiles()
         # Times of the last transmission of changes to the pages, and to those of participants [s].
         self._sent_s = self._sent_to_guests_s = 0.0
         self._feed = Feed()
@@ -349,16 +355,17 @@ class Hub:
         if isinstance(request, HandRequest):
             self._push(session, request)
             return
-        if isinstance(request, DocumentRequest | PartRequest) and session.role is not Role.PARTICIPANT:
+        is_guest = session.role is Role.PARTICIPANT
+        if isinstance(request, DocumentRequest | PartRequest | RecordingRequest) and not is_guest:
             session.answer(_packed(await self._read(session, request)))
             return
         identifier = getattr(request, "id", "")
+        is_refused = True
         try:
             answers = await self._carried_out(session, request, arrived_s)
             is_ok = bool(answers) and all(kind == "ack" for kind, _ in answers.values())
-            text = "; ".join(f"{node}: {text}" for node, (_, text) in sorted(answers.items()))
-            if not is_ok and not any(kind == "refused" for kind, _ in answers.values()):
-                text = f"not acknowledged by all that were asked: {text}"
+            text = "; ".join(_row(node, kind, text, is_ok) for node, (kind, text) in sorted(answers.items()))
+            is_refused = not answers or any(kind == "refused" for kind, _ in answers.values())
         except TelenanoError as error:
             is_ok, text = False, str(error)
         except Exception as error:  # noqa: BLE001
@@ -367,17 +374,38 @@ class Hub:
         if session.role is Role.PARTICIPANT:
             text = self._picture.acknowledgement(is_ok=is_ok)
         lease = {"lease": self.desk.facts()} if is_ok and isinstance(request, LeaseRequest) else {}
-        session.answer(_packed({"k": "answer", "id": identifier, "ok": is_ok, "text": text, **lease}))
+        # Nodes may also be absent or out of reach, which a page does not call a refusal.
+        why = {} if is_ok or is_refused or session.role is Role.PARTICIPANT else {"refused": False}
+        session.answer(_packed({"k": "answer", "id": identifier, "ok": is_ok, "text": text, **why, **lease}))
 
-    async def _read(self, session: Session, request: DocumentRequest | PartRequest) -> Mapping[str, Any]:
+    async def _read(
+        self, session: Session, request: DocumentRequest | PartRequest | RecordingRequest
+    ) -> Mapping[str, Any]:
         """Return the answer to a page that reads a recording: the data, or the reason for a refusal."""
         try:
             if not session.may_ask(time.monotonic()):
                 raise RefusedError(f"this page sends more than {REQUESTS_PER_S} requests per second")
-            answer = await self._reads.read(request)
+            if isinstance(request, RecordingRequest):
+                self._check_may_download(session)
+                answer = await self.recording.answer(session, request.name)
+            else:
+                answer = await self._reads.read(request)
         except TelenanoError as error:
             return {"k": "answer", "id": request.id, "ok": False, "text": str(error)}
         return {"k": "answer", "id": request.id, "ok": True, "text": "", "found": answer}
+
+    def _check_may_download(self, session: Session) -> None:
+        """Raise RefusedError for a page that is not an operator's.
+
+        A recording contains the site file and the scenario, which no page shows to an observer.
+        """
+        if session.role is not Role.OPERATOR:
+            self.desk.refused.note("role", f"{session.party.label}: the file of the recording")
+            raise RefusedError("only the page of an operator gets the file of the recording")
+
+    def may_have(self, session: Session) -> bool:
+        """Return whether the address of a page's person is still valid."""
+        return session.person is None or self.is_admitted(session.person)
 
     async def _carried_out(self, session: Session, request: Request, arrived_s: float) -> Answers:
         if not session.may_ask(time.monotonic()):
@@ -503,6 +531,12 @@ class _NoPicture:
 
     def acknowledgement(self, *, is_ok: bool) -> str:
         return "done" if is_ok else "not carried out"
+
+
+def _row(node: str, kind: str, text: str, is_ok: bool) -> str:
+    """Return what became of a command at a node; unless all have acknowledged it, with the kind in words."""
+    words = {str(name): meaning.partition(":")[0] for name, meaning in MEANINGS.items()}
+    return f"{node}: {text}" if is_ok else f"{node} {words.get(kind, kind)}: {text}"
 
 
 def _packed(fields: Mapping[str, Any]) -> bytes:

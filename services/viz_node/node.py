@@ -8,6 +8,7 @@ from services.viz_node.commander import RigCommander, forms
 from services.viz_node.hub import Hub
 from services.viz_node.live import LiveSource
 from services.viz_node.page_server import PageServer
+from services.viz_node.recording_files import RecordingFiles
 from telenano.console.lease import Party
 from telenano.console.lease_register import LeaseRegister
 from telenano.console.page_hand import RigHand
@@ -78,12 +79,20 @@ class PageNode(Node):
 
 
 def page_of_rig(
-    participant: Participant, site_file: Path, bound: Listener, access: Access, tls: Tls | None
+    participant: Participant,
+    site_file: Path,
+    bound: Listener,
+    access: Access,
+    tls: Tls | None,
+    recording: RecordingFiles | None = None,
 ) -> tuple[PageNode, PageBus]:
-    """Return the node that serves the page of a rig at a bound address, and its bus."""
+    """Return the node that serves the page of a rig at a bound address, and its bus.
+
+    `recording`: the files of the rig's recording; None if this process does not know where they are.
+    """
     commander = RigCommander(site_file)
     source = LiveSource(participant.book, str(site_file))
-    hub = Hub(source, commander, forms, lambda: RigHand(site_file), register=LeaseRegister())
+    hub = Hub(source, commander, forms, lambda: RigHand(site_file), register=LeaseRegister(), recording=recording)
     server = PageServer(hub, access, bound, tls, participant.wake_descriptor)
     bus = PageBus(
         participant, _publisher_of(participant), server, [*source.subscribers.values(), hub.left_out, hub.desk.refused]

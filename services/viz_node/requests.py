@@ -86,6 +86,13 @@ class PartRequest(_Frame, tag="part", frozen=True):
     spans: int
 
 
+class RecordingRequest(_Frame, tag="recording", frozen=True):
+    """A request for the list of the recording's files, or for an address from which to download one; `name` is its."""
+
+    id: _Id
+    name: _Text = ""
+
+
 class HandRequest(_Frame, tag="hand", frozen=True):
     """The force of the operator at the page [N], towards the sample; `held` is false when the hand is released.
 
@@ -137,6 +144,7 @@ Request = (
     | HandRequest
     | DocumentRequest
     | PartRequest
+    | RecordingRequest
     | PanelRequest
     | LeaseRequest
     | HereRequest

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import time
 from collections.abc import AsyncIterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,15 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from services.viz_node.hub import REVOKED, Hub
 from services.viz_node.metrics import MEDIA_TYPE
 from services.viz_node.page_session import Session
+from services.viz_node.page_threads import in_thread
+from services.viz_node.recording_files import MOST_DOWNLOADS, Download, open_recording
 from services.viz_node.requests import PROTOCOL, Hello, RequestError, read_request
 from telenano.serving.access import Access, Role, is_loopback
 from telenano.serving.connections import SILENCE_S, Connections
 from telenano.serving.gate import POLICY, client_of, end_quietly, guarded
 from telenano.serving.people import Person
 from telenano.timing.clock import SystemClock
+from telenano.wire.errors import RefusedError
 
 _HELLO_S = SILENCE_S
 # Delay of the answer to a wrong token, which limits the rate of guesses, one per connection [s].
@@ -107,6 +111,45 @@ class _PageSocket:
             await end_quietly(sender)
 
 
+class _Downloads:
+    """Sends the file of the recording for which an address was given."""
+
+    def __init__(self, hub: Hub, connections: Connections) -> None:
+        self._hub = hub
+        self._connections = connections
+        self._running = 0
+
+    async def __call__(self, scope: Any, receive: Any, send: Any) -> None:
+        if scope["method"] != "GET":
+            await PlainTextResponse("telenano: a recording is fetched with GET\n", 405)(scope, receive, send)
+        elif self._running >= MOST_DOWNLOADS:
+            text = f"telenano: {self._running} recordings are being downloaded already: press the file again later\n"
+            await PlainTextResponse(text, 503)(scope, receive, send)
+        else:
+            self._running += 1
+            try:
+                await (await self._response(scope))(scope, receive, send)
+            finally:
+                self._running -= 1
+
+    async def _response(self, scope: Any) -> Download | Response:
+        hub, client = self._hub, client_of(scope)
+        found = hub.recording.redeem(scope["path_params"]["ticket"], lambda session: session in hub.sessions)
+        if found is None:
+            text = "telenano: this address is not valid, or no longer: press the file on the page again\n"
+            return PlainTextResponse(text, 404)
+        path, session = found
+        try:
+            opened = await asyncio.wrap_future(in_thread(partial(open_recording, path)))
+        except RefusedError as error:
+            return PlainTextResponse(f"telenano: {error}\n", 404)
+        # An address is as good as a token, so the connection is not dropped for a new one.
+        self._connections.admit(client)
+        return Download(
+            opened, opened.name(path), lambda: hub.may_have(session), lambda: self._connections.drop(client)
+        )
+
+
 async def _receive(socket: WebSocket) -> bytes:
     """Return the bytes of the next frame; raise RequestError for a text frame."""
     message = await socket.receive()
@@ -180,6 +223,7 @@ def make_app(hub: Hub, access: Access, page: Path | None, connections: Connectio
         return PlainTextResponse("telenano: no such file\n", 404) if path is None else FileResponse(path)
 
     routes: list[BaseRoute] = [
+        Route("/recording/{ticket}", _Downloads(hub, connections)),
         Route("/panels/{path:path}", of_panel),
         WebSocketRoute("/bus", _PageSocket(hub, access, connections).serve),
         Route("/health", health),

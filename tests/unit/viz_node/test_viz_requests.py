@@ -10,6 +10,7 @@ from services.viz_node.requests import (
     HandRequest,
     Hello,
     PartRequest,
+    RecordingRequest,
     RequestError,
     TransportRequest,
     read_request,
@@ -37,6 +38,7 @@ COMMAND: dict[str, Any] = {
             {"k": "part", "id": "a-5", "from_s": 1, "to_s": 2.5, "spans": 600},
             PartRequest("a-5", 1.0, 2.5, 600),
         ),
+        ({"k": "recording", "id": "a-6", "name": "session.mcap"}, RecordingRequest("a-6", "session.mcap")),
         ({"k": "hand", "force_n": -1, "held": True}, HandRequest(-1.0, True)),
         (
             {"k": "hand", "force_n": 0, "across_x_n": 1, "across_y_n": -2.0, "held": True},

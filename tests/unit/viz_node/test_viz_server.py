@@ -458,6 +458,25 @@ def test_what_may_have_waited_while_the_server_stood_still_is_refused(
     assert asked(rig, "arm", now_s)["ok"] is True
 
 
+@pytest.mark.parametrize(
+    ("kind", "words", "is_refused"),
+    [
+        ("refused", "refused", True),
+        ("kept", "kept for it", False),
+        ("absent", "absent", False),
+        ("unreached", "out of reach", False),
+    ],
+)
+def test_a_node_that_has_not_acknowledged_is_given_with_what_it_did_instead(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch, kind: str, words: str, is_refused: bool
+) -> None:
+    answers = {"afm_node@slave": (kind, "so it is"), "haptic_node@master": ("ack", "latched")}
+    monkeypatch.setattr(rig.commander, "send", lambda *given: answers)
+    answer = asked(rig, "set", time.monotonic())
+    assert (answer["ok"], answer.get("refused", True)) == (False, is_refused)
+    assert answer["text"] == f"afm_node@slave {words}: so it is; haptic_node@master acknowledged: latched"
+
+
 def test_who_holds_the_key_down_stops_a_few_times_and_once_more(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     answering = threading.Event()
     begun: list[int] = []

@@ -2,19 +2,20 @@ import { make, part } from "./dom";
 import { plain } from "./sentences";
 import { fixed } from "./numbers";
 
-/** What became of a request: the server answered, or nothing did, which leaves open whether it was carried out. */
-export type Outcome = "acknowledged" | "refused" | "not sent" | "lost" | "no answer";
+/** What became of a request: the server answered (not acknowledged: a node did not, and none refused), or nothing did, which leaves open whether it was carried out. */
+export type Outcome = "acknowledged" | "not acknowledged" | "refused" | "not sent" | "lost" | "no answer";
 
 /** An answer stands for so long, unless another one comes: it covers nothing. */
 const SHOWN_MS = 12_000;
 const MOST_SHOWN = 3;
-const LOOKS: Record<Outcome, string> = { acknowledged: "done", refused: "refused", "not sent": "refused", lost: "unknown", "no answer": "unknown" };
+const LOOKS: Record<Outcome, string> = { acknowledged: "done", "not acknowledged": "refused", refused: "refused", "not sent": "refused", lost: "unknown", "no answer": "unknown" };
 
 /** What came of an action, in one line: who said so, or that nobody did and for how long this page waited [s]. */
 export function outcomeText(about: string, outcome: Outcome, text: string, waitedS = 0): string {
   const waited = waitedS < 10 ? fixed(waitedS, 1) : fixed(waitedS, 0);
   if (outcome === "lost") return `${about}: connection lost after ${waited} s, before the answer · it may have been carried out, or not`;
   if (outcome === "no answer") return `${about}: no answer in ${waited} s · it may have been carried out, or not: the rig or its server may be gone`;
+  if (outcome === "not acknowledged") return `${about}: not acknowledged by all that were asked · ${text}`;
   return `${about}: ${outcome} · ${text}`;
 }
 

@@ -53,7 +53,7 @@ export class Connection {
   private take(frame: ServerFrame): void {
     if (frame.k === "refused") this.refusal = frame.text;
     else if (frame.k === "answer") {
-      this.waiting.get(frame.id)?.(frame, frame.ok ? "acknowledged" : "refused");
+      this.waiting.get(frame.id)?.(frame, frame.ok ? "acknowledged" : frame.refused === false ? "not acknowledged" : "refused");
       this.waiting.delete(frame.id);
     } else {
       if (frame.k === "snapshot") {

@@ -142,6 +142,8 @@ export interface Answer {
   k: "answer";
   id: string;
   ok: boolean;
+  /** Present where a node has not acknowledged and none has refused, such as one that is absent or out of reach. */
+  refused?: false;
   text: string;
   /** What was asked for, where something was. */
   found?: unknown;

@@ -18,8 +18,8 @@ class Socket {
   say(data: object): void {
     this.onmessage({ data });
   }
-  answer(ok: boolean, text: string): void {
-    this.say({ k: "frame", frame: pack({ k: "answer", id: this.sent.at(-1)!["id"], ok, text }).slice().buffer });
+  answer(ok: boolean, text: string, further: object = {}): void {
+    this.say({ k: "frame", frame: pack({ k: "answer", id: this.sent.at(-1)!["id"], ok, text, ...further }).slice().buffer });
   }
 }
 
@@ -39,7 +39,7 @@ async function said(happens: (connection: Connection, socket: Socket) => Promise
   return outcomeText("Start", outcome, text, waited_s);
 }
 
-test("each of the five things that can become of a request is called by its name", async () => {
+test("each of the six things that can become of a request is called by its name", async () => {
   const begun = (after: (socket: Socket) => void) => (connection: Connection, socket: Socket): Promise<Reply> => {
     socket.say({ k: "open" });
     const reply = connection.ask({ k: "command" });
@@ -48,6 +48,9 @@ test("each of the five things that can become of a request is called by its name
   };
   expect(await said(begun((socket) => socket.answer(true, "started")))).toBe("Start: acknowledged · started");
   expect(await said(begun((socket) => socket.answer(false, "it runs")))).toBe("Start: refused · it runs");
+  // what no node refused is not called refused
+  const away = "afm_node@slave absent: is not running";
+  expect(await said(begun((socket) => socket.answer(false, away, { refused: false })))).toBe(`Start: not acknowledged by all that were asked · ${away}`);
   expect(await said((connection) => connection.ask({ k: "command" }))).toBe("Start: not sent · there is no connection to the server");
   const lost = begun((socket) => {
     vi.advanceTimersByTime(400);

@@ -3,6 +3,7 @@ import { colour, make, save } from "../dom";
 import { Pace } from "../pace";
 import { Playhead } from "../playhead";
 import type { Ring } from "../ring";
+import { recordingMenu } from "../recording";
 import { OLD_S } from "../freshness";
 import { drawnAs } from "../scopes/catalog";
 import { BUILT_IN, Layouts, moved, overlaid, type ScopeSpec } from "../scopes/layout";
@@ -77,6 +78,7 @@ export class ScopesPanel implements Panel {
       make("label", {}, "Span", this.spanSelect),
       this.pauseButton,
       make("div", { class: "segments", role: "group", "aria-label": "Save" }, button("save-png", "Save PNG", () => this.savePicture()), button("save-csv", "CSV", async () => this.saveSamples())),
+      recordingMenu(cockpit),
     );
     root.append(toolbar, this.grid, this.measures);
     new ResizeObserver(() => {

@@ -1,5 +1,6 @@
 import type { Cockpit, Panel } from "../cockpit";
 import { make } from "../dom";
+import { openRecording } from "../recording";
 
 /** The operator's force profile: start, stop, bring hand and tip together again; marks and files of the recording. */
 export class SessionPanel implements Panel {
@@ -24,9 +25,11 @@ export class SessionPanel implements Panel {
     this.mark.addEventListener("keydown", (event) => event.key === "Enter" && void this.setMark());
     const mark = button("mark", "Mark", () => this.setMark());
     const split = button("split", "New file", () => commands.command("begin a new file", "set", "recorder", { "record.split": true }));
+    // one list of files for both places where a person looks for them
+    const save = make("button", { type: "button", id: "save-recording", onclick: () => openRecording() }, "Save the recording");
     this.buttons = [this.start, stop, couple, mark, split];
     const programme = make("div", { class: "segments", role: "group", "aria-label": "Force profile of the operator" }, this.start, stop);
-    root.append(make("div", { class: "row tight" }, programme, make("span", { class: "spacer" }), couple), make("div", { class: "row tight" }, this.mark, mark, make("details", { class: "menu", id: "file-more" }, make("summary", { "aria-label": "More of the recording" }, "⋯"), make("div", { class: "sheet" }, split))));
+    root.append(make("div", { class: "row tight" }, programme, make("span", { class: "spacer" }), couple), make("div", { class: "row tight" }, this.mark, mark, make("details", { class: "menu", id: "file-more" }, make("summary", { "aria-label": "More of the recording" }, "⋯"), make("div", { class: "sheet" }, split, save))));
   }
 
   begin(): void {
