@@ -171,11 +171,11 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         "EstopLatch.__init__: self._newest_ns = 0 [0 => 1]": "an age is stated in tenths of a second",
     },
     "telenano/console/emergency_stop.py": {
-        "emergency_stop: reader.set(zmq.LINGER, 0) [reader.set(zmq.LINGER, 0) => pass]": "libzmq itself waits for"
+        "_send: reader.set(zmq.LINGER, 0) [reader.set(zmq.LINGER, 0) => pass]": "libzmq itself waits for"
         " nothing at the end of a socket that subscribes",
-        "emergency_stop: while time.monotonic() < next_s and reader.poll(0): [0 => 1]": "a turn waits for one more"
+        "_send: while time.monotonic() < next_s and reader.poll(0): [0 => 1]": "a turn waits for one more"
         " answer by a millisecond at most",
-        "emergency_stop: while time.monotonic() < next_s and reader.poll(0): [time.monotonic() < next_s =>"
+        "_send: while time.monotonic() < next_s and reader.poll(0): [time.monotonic() < next_s =>"
         " time.monotonic() <= next_s]": "at that very nanosecond one answer more is read before the next turn",
         "module: _MOST_SUBSCRIPTIONS = 256 [256 => 512]": "any number at which a turn ends that is above what one inlet"
         " is sent in it",
@@ -265,7 +265,6 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         " 0.0), 1.0) [1.0 => 2.0] (2)": "a motion of the hand is cut to what its store has, which is never below zero",
     },
     "telenano/recording/verify.py": {
-        "_Stream.__init__: self.t_ns = 0 [self.t_ns = 0 => pass]": "read only after the first message set it",
         "_Check.run: log_ns >= last_ns [log_ns >= last_ns => log_ns > last_ns]": "one received at the same time is"
         " looked at more closely, with the same outcome",
         '_Check._check_schema: pairs = zip(("seq", "t_ns", "src"), header, stated, strict=True)'
