@@ -30,7 +30,7 @@ from telenano_devices.impedance.servo import ServoCommand, ServoSample
 from telenano_devices.impedance.servo_process import ServoLoop, SharedServo
 
 from telenano.devices.hand import serial_driver
-from telenano.extend.hands import MODE_OFF, MODE_POSITION, Gate
+from telenano.extend.hands import MODE_OFF
 from telenano.testing import haptic_config, haptic_device_of, haptic_node
 from telenano.wire import RefusedError
 
@@ -44,7 +44,7 @@ STEP_M = 1.25e-3 * SPEED_M_PER_S
 LETS_GO_MS = 60
 # Time after which the motor is off after a stop: the period of the node, that of the device, and a byte's way [ms].
 STOPS_MS = 3
-# Longest time in which a device that may be driven is driven again: looking for it, the handshake, the hand's rest [ms].
+# Longest time in which a device that may be driven is driven again, with its handshake and the rest of the hand [ms].
 BACK_MS = 900
 # Way by which a hand carries the arm in a millisecond [m].
 CARRIED_M = 1e-4
@@ -281,7 +281,6 @@ class Servoed(Hand):
         self.settings = self.coupling.to_settings(self.found)
         self.turned_ns, self.away_ms = self.time.ns, 0
         self.loop_ends = self.is_held = False
-        self.device_needs_hand = True
         self.losses = {
             "cable": (self._do("plugged", False), self._do("plugged", True)),
             "calibration": (self._do("calibrated", False), self._do("calibrated", True)),
@@ -679,7 +678,9 @@ class Walk:
 
 
 def walked(bench_of: Any, kind: str, seed: int, folder: Path) -> Walk:
-    hand = HANDS[kind](bench_of("haptic_node@master"), folder)
+    # A library that is loaded must not be written over.
+    (own := folder / str(seed)).mkdir()
+    hand = HANDS[kind](bench_of("haptic_node@master"), own)
     walk = Walk(hand, random.Random(f"{kind} {seed}"))
     hand.run(walk.script())
     hand.node.make_safe()
