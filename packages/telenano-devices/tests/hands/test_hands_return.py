@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from importlib.resources import files
 from pathlib import Path
 from string import Template
-from types import ModuleType, SimpleNamespace
+from types import MappingProxyType, ModuleType, SimpleNamespace
 from typing import Any, ClassVar
 
 import pytest
@@ -64,7 +64,7 @@ class Hand:
     losses: begin and end of each loss, by name. deaf: losses in which the device does not hear the node.
     """
 
-    losses: ClassVar[dict[str, tuple[str, Any, Any]]] = {}
+    losses: Any = MappingProxyType({})
     deaf: tuple[str, ...] = ()
     lets_go_ms = LETS_GO_MS
     # Whether the present millisecond is over for the device as well.
@@ -72,7 +72,8 @@ class Hand:
     has_switch = False
 
     def __init__(self, bench: Any) -> None:
-        self.bench, self.node = bench, None
+        self.bench: Any = bench
+        self.node: Any = None
         self.x_m, self.speaks = 0.0, True
 
     def begin(self, driver: Any, section: Any = None) -> None:
@@ -90,7 +91,11 @@ class Hand:
         """Let the law command the place `x_m`, unless it is silent, and the node take its turn."""
         bench = self.bench
         if self.speaks:
-            fields = {"mode": "position", "position_m": (0.0, 0.0, -self.x_m), "velocity_m_per_s": (0.0, 0.0, 0.0)}
+            fields: dict[str, Any] = {
+                "mode": "position",
+                "position_m": (0.0, 0.0, -self.x_m),
+                "velocity_m_per_s": (0.0, 0.0, 0.0),
+            }
             fields |= {"force_n": (0.0, 0.0, 0.0), "hand_seq": 0, "hand_t_ns": bench.clock.now_ns()}
             self.node.on_message(bench.received("haptic/command", LAW, **fields))
         bench.clock.advance_ns(max(0, self.node.deadline_ns() - bench.clock.monotonic_ns()))
@@ -220,7 +225,6 @@ class SimulatedCoupled(Simulated):
     section: ClassVar[dict[str, Any]] = {
         "driver": "simulated_impedance", "coupling": {"rest_s": 0.05}, "operator": {"kind": "force_profile"},
     }  # fmt: skip
-    losses: ClassVar[dict[str, Any]] = {}
 
     def drives(self) -> bool:
         return any(self.device.state.plant.coupling.force_n)
@@ -275,7 +279,7 @@ class Servoed(Hand):
     def __init__(self, bench: Any, tmp_path: Path) -> None:
         super().__init__(bench)
         self.time = VirtualTime()
-        self.emulated = EmulatedDevice(self.kind, self.time, tmp_path)
+        self.emulated: Any = EmulatedDevice(self.kind, self.time, tmp_path)
         self.found = self.emulated.wire.open()
         self.coupling = CouplingConfig(rest_s=0.05)
         self.settings = self.coupling.to_settings(self.found)
@@ -328,7 +332,7 @@ class Servoed(Hand):
         self.time.watch = watch
         while not done:
             self.loop_ends = False
-            clock = {"now_ns": self.time.now_ns, "sleep": self.time.sleep}
+            clock: dict[str, Any] = {"now_ns": self.time.now_ns, "sleep": self.time.sleep}
             ServoLoop(self.shared, self.emulated.wire, self.found, **clock, is_needed=is_needed).run()
             while self.away_ms and not done:
                 self.away_ms -= 1
@@ -344,10 +348,10 @@ class Servoed(Hand):
             self.link.ended = False
 
     def drives(self) -> bool:
-        return self.emulated.force_n > 0.0
+        return bool(self.emulated.force_n > 0.0)
 
     def place_m(self) -> float:
-        return -self.emulated.height_m
+        return float(-self.emulated.height_m)
 
     def hold(self, held: bool) -> None:
         self.is_held = held
