@@ -106,6 +106,9 @@ class HapticNode(DeviceNode):
         self._stopped_by: SessionControl | None = None
         if device.report is not None:
             self.process_haptic_report(device.report)
+            # The first command may come before the first tick, and control begins where the arm is.
+            self._memory.position_m = device.read(_NOT_RUNNING_S, self.period_s).position_m
+            self.process_haptic_report(device.report)
         if caution := DRIVERS.caution(config.driver):
             self.event("node", "warning", caution)
         # Compile the steps before the grid starts, and not in its first tick.

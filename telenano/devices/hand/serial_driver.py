@@ -108,6 +108,8 @@ class SerialHandle:
         self._phase_began_ns = self._sent_ns = self._received_ns = self._sampled_ns = 0
         self._retry_ns = 0
         self._awaited_seq = -1
+        # Whether the device has told its state since the port was opened, and that it was stopped meanwhile.
+        self._has_told = self._was_stopped = False
         self._dropped_in_a_row = 0
         self._session_runs = False
         self._slow_since_ns = self._noticed_ns = 0
@@ -242,6 +244,7 @@ class SerialHandle:
         self._port = self._open_port(self.path, self._baud)
         self.reader.reset()
         self.hello = None
+        self._has_told, self._awaited_seq = False, -1
         self._clock, self._round_trips = SampleClock(), RecentMinimum()
         self._dropped_in_a_row = 0
         self._nonce = (self._nonce * 75 + 74 + now_ns) & 0xFFFF
@@ -299,7 +302,8 @@ class SerialHandle:
             self._sent_ns = now_ns
             if self.hello is None:
                 self._send(wire.encode_ask(self._next_seq(), self._nonce))
-            elif self._limits is not None:
+            elif self._limits is not None and self._has_told:
+                # The limits end a stop that the device has kept, so it has to be heard before.
                 self._send(wire.encode_config(self._next_seq(), self.hello.session, self._limits))
 
     def _on_answer(self, answer: wire.Answer, now_ns: int) -> None:
@@ -348,6 +352,8 @@ class SerialHandle:
             return
         self._received_ns = now_ns
         if self._phase is _Phase.CONFIGURING:
+            self._has_told = True
+            self._was_stopped |= bool(state.flags & wire.HandleFlag.ESTOP_PRESSED)
             if not (state.flags & wire.HandleFlag.IS_CONFIGURED and state.command_seq == self._awaited_seq):
                 return
             self._phase = _Phase.READY
@@ -388,7 +394,8 @@ class SerialHandle:
             status = "stale"
         self._notice(now_ns, age_s, status)
         counts = counts_of(self.state) if self.state is not None else {}
-        self._report = HapticReport(status, age_s, bool(flags & wire.HandleFlag.ESTOP_PRESSED), self._text, counts)
+        stopped = self._was_stopped or bool(flags & wire.HandleFlag.ESTOP_PRESSED)
+        self._report, self._was_stopped = HapticReport(status, age_s, stopped, self._text, counts), False
 
     def _notice(self, now_ns: int, age_s: float, status: Status) -> None:
         """Report lasting faults: samples that stay old (once), and bad frames (at most once a second)."""
