@@ -117,7 +117,9 @@ def _room_m(limits: HandLimits, side: int, hand: HandSample, before_m: float, ah
     """
     end = limits.high_m if side > 0 else -limits.low_m
     speed, before = max(side * hand.velocity_m_per_s, 0.0), side * before_m
-    end = min(end, side * hand.position_m + LONGEST_LEAD_M + _LAG_S * speed)
+    if side * hand.force_n >= 0.0:
+        # A hand that a spring couples to its reference stands F / K beyond it, and is led by nothing that way.
+        end = min(end, side * hand.position_m + LONGEST_LEAD_M + _LAG_S * speed)
     if ahead_m != 0.0:
         end = min(end, before - side * ahead_m + limits.tip_lead_m + trip_s * limits.speed_m_per_s)
     return max(end, before)

@@ -52,7 +52,7 @@ TEXTS: dict[str, tuple[str, ...]] = {
         "law wave verdict stable, parted",
         "law tdpa verdict stable, nothing_moved, off_force, struck",
     ),
-    "own_sample": ("verdict stable: the force goes to the rest of the law",),
+    "own_sample": ("verdict stable",),
     "thirty_conditions": ("law wave 0:stable 20:stable 40:stable 60:stable", "60:limit_cycle"),
     "why_it_rings": ("K_f 20 delay_ms 60 verdict limit_cycle",),
 }
