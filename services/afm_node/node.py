@@ -110,6 +110,8 @@ class AfmNode(DeviceNode):
     # Obeyed only if sent to this node by name: a `stop` to a pattern ends the force profile, and the tip may stay.
     named_commands: ClassVar[tuple[str, ...]] = ("stop", "set")
     journalled = True
+    # 2: the base of what returns, the limits of the hand, and the force of the motor.
+    state_version = 2
     # After afm/command, the tick continues in the slave half and the link, which may share the processor.
     idle_after = "afm/command"
     state_kind = AfmNodeState

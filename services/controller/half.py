@@ -87,6 +87,8 @@ class ControllerHalf(Node):
     half: HalfState
     commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True
+    # 2: the limits of the hand.
+    state_version = 2
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:
         super().__init__(context)

@@ -73,6 +73,8 @@ class HapticNode(DeviceNode):
     commands: ClassVar[tuple[str, ...]] = ("start", "stop", "arm", "estop")
     named_commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True
+    # 2: the base of what returns, the limits of the hand, and the force of the motor.
+    state_version = 2
     # After haptic/state, the tick continues in the master half, and soon at the slave's site.
     idle_after = ""
     state_kind = HapticNodeState

@@ -18,8 +18,8 @@ from telenano_devices.t7.t7_model import T7Model
 from telenano.afm.sim import simulated_afm
 from telenano.extend.instruments import DeviceError
 
-# The node holds the base at -100 nm while it is retracted, so this leaves 10 nm at 0.
-LIFT_M, SETPOINT_V = 110e-9, 5e-3
+# The node leaves the base where a T7 that it meets has made it safe, at -200 nm, so this leaves 10 nm at 0.
+LIFT_M, SETPOINT_V = 210e-9, 5e-3
 CONTACT_M = 11e-9
 
 
@@ -76,8 +76,7 @@ def test_the_controller_approaches_and_the_rig_feels_the_sample_through_the_t7(b
     both.rig.tick(30)
     z_m = both.approach()
     assert both.call("ZCtrl.StatusGet") == [nanonis_model.OFF]
-    # The base is where the script on the T7 has made it safe, a hundred nm further away than the rig would retract it.
-    assert z_m == pytest.approx(-1.02e-7, abs=3e-9)
+    assert z_m == pytest.approx(0.0, abs=3e-9)
     both.rig.control("arm", place="hand")
     same = simulated_afm(PARAMS)
     same.open()
@@ -98,7 +97,7 @@ def test_the_controller_approaches_and_the_rig_feels_the_sample_through_the_t7(b
 def test_either_of_the_two_takes_the_tip_away_without_the_other(both: Both) -> None:
     both.rig.tick(30)
     z_m = both.approach()
-    both.rig.control("arm", place="hand")
+    both.rig.control("arm", place_m=CONTACT_M, speed_m_per_s=2e-6)
     both.rig.tick(400, CONTACT_M)
     assert both.states()[-1].in_contact
     # the rig dies: the script on the T7 retracts, and the controller stays where it is
@@ -106,7 +105,7 @@ def test_either_of_the_two_takes_the_tip_away_without_the_other(both: Both) -> N
     assert both.rig.line.model.output_v == 0.0
     assert both.call("ZCtrl.ZPosGet") == [pytest.approx(z_m, abs=1e-12)]
     both.rig.tick(900)
-    both.rig.control("arm", place="hand")
+    both.rig.control("arm", place_m=CONTACT_M, speed_m_per_s=2e-6)
     both.rig.tick(400, CONTACT_M)
     assert both.states()[-1].in_contact
     # a person withdraws at the controller: the tip is free whatever the rig sends
