@@ -93,6 +93,9 @@ ENDINGS: dict[int, str] = {
 LET_IN_M_PER_S = 15e-9
 # A force on the tip above this, of either sign, means that the tip has met the sample [N].
 SMALL_FORCE_N = 1e-9
+# A force above this shows the surface at once [N], and one above SMALL_FORCE_N where it lasts for this time [s]: at full
+# speed the noise of an instrument would otherwise be taken for a surface.
+CLEAR_FORCE_N, TOUCHED_S = 5e-9, 0.02
 # The pull of the water film begins within this distance of a surface [m]; a meniscus breaks at 4 nm in Table 2.
 CLEARANCE_M = 5e-9
 # A reference that moves further than this during a way shows that the hand moves [m]: it is 1 mm at the hand.
@@ -111,7 +114,8 @@ class SafetyState(NamedTuple):
     slower_m_per_s: reduction of the speed limit that is left after a hold [m/s]. offset_m: reference of the hand minus
     base [m]; surface_m: base position at which the tip last met a surface [m], infinite for never. goes: the base goes
     to place_m [m] at speed_m_per_s [m/s], or will when FOLLOW begins; from_m: the reference when it began [m];
-    waited_s: time for which the permission to go has waited for a hand [s].
+    waited_s: time for which the permission to go has waited for a hand, or in FOLLOW for which a small force has lasted
+    [s].
     """
 
     mode: int
@@ -365,15 +369,16 @@ def _next_way(
         state = _begun(_worded(state, inputs), inputs)
     elif state.goes:
         ended = _ending(state, inputs)
-    # On a way to the hand, attraction shows the surface as well.
+    # On a way to the hand, attraction shows the surface as well. A small force has to last, because noise exceeds it.
     force = abs(inputs.force_n) if state.goes and not math.isfinite(state.place_m) else inputs.force_n
-    surface = state.base_m if force > SMALL_FORCE_N else state.surface_m
+    touched = state.waited_s + dt if force > SMALL_FORCE_N else 0.0
+    surface = state.base_m if touched >= TOUCHED_S or force > CLEAR_FORCE_N else state.surface_m
     offset, goes = state.offset_m, state.goes
     if ended == NOT_ENDED and goes:
         offset, ended = _way(params, state, inputs, dt)
     if ended > ENDED_THERE:
         offset = inputs.reference_m - state.base_m
-    return _changed(state, offset, surface, goes and ended == NOT_ENDED, 0.0), ended
+    return _changed(state, offset, surface, goes and ended == NOT_ENDED, touched), ended
 
 
 @compiled
@@ -413,6 +418,9 @@ def _way(params: SafetyParams, state: SafetyState, inputs: SafetyInputs, dt: flo
     least = max(reference - nearest_m(state.surface_m), goal)
     # A base that goes to the hand stays clear of a surface that is known, also of one that it meets on its way.
     is_near = not is_stated and math.isfinite(state.surface_m) and offset < least
+    if not is_stated and not is_near and abs(inputs.force_n) > SMALL_FORCE_N:
+        # The base waits where a force begins, until that has lasted for long enough to show a surface, or has gone.
+        return max(reference - state.base_m, offset), NOT_ENDED
     way_m, reach_m = reference - offset - state.base_m, params.base_speed_m_per_s * dt
     if way_m > reach_m or (way_m < -reach_m and not is_stated):
         # The base has not yet reached reference - offset.

@@ -123,9 +123,24 @@ def test_a_word_that_waits_for_a_hand_is_void_after_a_while(waits_s: float, goes
     assert goes or outputs[-1].base_m == pytest.approx(AWAY_M, rel=1e-9, abs=0.0)
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_noise_is_no_surface(seed: int) -> None:
+    """A simulated instrument with its disturbances reads 0.7 nN RMS: a way to the hand ends where the hand is."""
+    draw = random.Random(f"noise {seed}")
+    free = SafetyState(safety.MODE_FOLLOW, AWAY_M, safety.REASON_ARMED)
+    for _ in range(3000):
+        free, _ = run(free, 1, reference_m=AWAY_M, force_n=draw.gauss(0.0, 0.7e-9))
+    assert free.surface_m == math.inf
+    state, output = armed(0.0, goes=True)
+    for _ in range(2000):
+        state, (output,) = run(state, 1, reference_m=0.0, force_n=draw.gauss(0.0, 0.7e-9))
+    assert (state.goes, state.surface_m) == (False, math.inf)
+    assert output.base_m == pytest.approx(0.0, abs=1e-12)
+
+
 def test_a_surface_that_was_met_is_kept_clear_of() -> None:
     met = SafetyState(safety.MODE_FOLLOW, -20e-9, safety.REASON_ARMED)
-    met, _ = run(met, 1, reference_m=-20e-9, force_n=1.1e-9)
+    met, _ = run(met, 21, reference_m=-20e-9, force_n=1.1e-9)
     assert met.surface_m == -20e-9
     away, _ = run(met, 200, action=safety.ACTION_RETRACT)
     state, _ = armed(0.0, away, goes=True)
@@ -204,7 +219,7 @@ def test_a_base_that_goes_to_the_hand_is_placed_where_its_full_speed_ends(base_m
 
 def test_full_speed_ends_at_the_clearance_and_not_beyond() -> None:
     met = SafetyState(safety.MODE_FOLLOW, -20e-9, safety.REASON_ARMED)
-    met, _ = run(met, 1, reference_m=-20e-9, force_n=1.1e-9)
+    met, _ = run(met, 21, reference_m=-20e-9, force_n=1.1e-9)
     away, _ = run(met, 200, action=safety.ACTION_RETRACT)
     state, _ = armed(0.0, away)
     state, _ = run(state, 1, arm_requested=True, goes=True, place_m=0.0, speed_m_per_s=700e-9)
