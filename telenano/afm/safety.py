@@ -93,8 +93,8 @@ ENDINGS: dict[int, str] = {
 LET_IN_M_PER_S = 15e-9
 # A force on the tip above this, of either sign, means that the tip has met the sample [N].
 SMALL_FORCE_N = 1e-9
-# A force above this shows the surface at once [N], and one above SMALL_FORCE_N where it lasts for this time [s]: at full
-# speed the noise of an instrument would otherwise be taken for a surface.
+# A force above this shows the surface at once [N], and one above SMALL_FORCE_N where it lasts for this time [s]: the
+# noise of an instrument would otherwise be taken for a surface.
 CLEAR_FORCE_N, TOUCHED_S = 5e-9, 0.02
 # The pull of the water film begins within this distance of a surface [m]; a meniscus breaks at 4 nm in Table 2.
 CLEARANCE_M = 5e-9

@@ -20,8 +20,8 @@ LET_GO_S, END_S = 0.6, 0.9
 BEYOND_M = 1e-7
 # Way that shows that hand or tip have begun [m], and the time within which they do after the force has turned [s].
 BEGUN_M, BEGUN_TIP_M, BEGUN_S = 2e-5, 5e-11, 0.06
-# The tip's own motion of four channels goes on by this after the hand stands [m].
-COASTED_M = {"four_channel": 1e-8}
+# The tip goes on by this after the hand stands [m]: with its own motion of four channels, or a wave under way.
+COASTED_M = {"four_channel": 1e-8, "wave": 1e-9}
 LEADING = [law for law in KNOWN_LAWS if law != "tactile"]
 
 
