@@ -405,7 +405,7 @@ def test_a_page_whose_force_does_not_reach_the_hand_says_so_on_the_pad_and_in_th
     # What is felt drops to none, as in the haptic node where it has heard nothing for too long.
     rig.is_deaf = True
     until(lambda: "FORCE DIFFERS" in page.banners(), "the banner")
-    until(lambda: "the hand presses with 0.0 N" in page.page.inner_text("#hand-text"), "the words at the pad")
+    until(lambda: "the hand pressed with 0.0 N" in page.page.inner_text("#hand-text"), "the words at the pad")
     page.picture("force-differs-laptop")
     # What is said takes room of the pad, and the hand that is still dragged means no other place by it.
     before = page.value("telenano.cockpit.hand.force")
@@ -416,4 +416,4 @@ def test_a_page_whose_force_does_not_reach_the_hand_says_so_on_the_pad_and_in_th
     rig.is_deaf = False
     until(lambda: "FORCE DIFFERS" not in page.banners(), "the end of the banner")
     rig.is_silent = True
-    until(lambda: "no data comes from the hand" in page.banners(), "the banner of a silence")
+    until(lambda: "no data came from the hand" in page.banners(), "the banner of a silence")
