@@ -98,10 +98,14 @@ def test_afm_without_commands_holds_then_retracts_and_stays(wreck: Any, node: st
     path = wreck[0].out / "session.mcap"
     kill = kill_of(wreck, node)
     seen = modes(path, "afm/state", kill, SOON_NS)
-    assert seen[:4] == ["follow", "hold", "retracting", "retracted"], seen
     after = states(path, "afm/state", kill.at_ns, kill.at_ns + SOON_NS)
+    # A hand that pushes stands at the end of its travel by now, so the base may be where it is withdrawn to already.
+    is_there = after[0].base_position_m[2] >= 99.9e-9
+    assert [mode for mode in seen if mode != "retracting"][:3] == ["follow", "hold", "retracted"], seen
+    assert is_there or seen[2] == "retracting", seen
     # Until it is withdrawn: where it has been armed again by then, it may hold once more, at another place.
-    held = [state for state in takewhile(lambda state: state.mode != "retracting", after) if state.mode == "hold"]
+    until_withdrawn = takewhile(lambda state: not state.mode.startswith("retract"), after)
+    held = [state for state in until_withdrawn if state.mode == "hold"]
     withdrawn = [state for state in after if state.mode == "retracted"]
     # it holds where it was, and ends where nothing can be touched; a quick operator may have armed it again by then
     assert len({state.base_position_m for state in held}) == 1
