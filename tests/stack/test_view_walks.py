@@ -99,7 +99,7 @@ def _walk(rig: Rig, page: Page, seed: int) -> None:
         page.page.wait_for_timeout(2000)
 
 
-@pytest.mark.check("a rig and a browser")
+@pytest.mark.endurance
 def test_a_walk_ends_in_a_touch(rig: Rig, page: Page) -> None:
     _walk(rig, page, 1)
     assert page.faults == []
