@@ -110,7 +110,7 @@ class AfmNode(DeviceNode):
     # Obeyed only if sent to this node by name: a `stop` to a pattern ends the force profile, and the tip may stay.
     named_commands: ClassVar[tuple[str, ...]] = ("stop", "set")
     journalled = True
-    # 2: the base of what returns, the limits of the hand, and the force of the motor.
+    # 2: the base of an instrument that returns is where it is found, and a small force has to last to show a surface.
     state_version = 2
     # After afm/command, the tick continues in the slave half and the link, which may share the processor.
     idle_after = "afm/command"
@@ -467,8 +467,7 @@ class AfmNode(DeviceNode):
             text += f"; {way}"
         cause, values = self._cause_of(step)
         text += f"; {cause}" if cause else ""
-        facts = {"mode": mode, "reason": reason, "base_position_m": allowed.base_m, **values, **facts}
-        self.event("mode", level, text, **facts)
+        self.event("mode", level, text, **{**self._mode_facts(allowed), **values, **facts})
 
     def _cause_of(self, step: Step) -> tuple[str, dict[str, Any]]:
         """Return who made the guard act, and the value that did, as a clause and as facts for the event."""

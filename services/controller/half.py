@@ -87,7 +87,7 @@ class ControllerHalf(Node):
     half: HalfState
     commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True
-    # 2: the limits of the hand.
+    # 2: the law takes the force that the limits of the hand let through.
     state_version = 2
 
     def __init__(self, context: NodeContext, config: ControllerConfig) -> None:

@@ -167,8 +167,8 @@ class DelayNode(ImpairedLink):
     def on_deadline(self, now_ns: int) -> None:
         self.begin_turn(now_ns)
         self.send_due(now_ns)
-        self._send_stop(now_ns)
-        self._send_stop_to_hand(now_ns)
+        self._send_stop(now_ns, self._stop, self.forward, TIP, ", and no sample crosses")
+        self._send_stop(now_ns, self._hand_stop, self.backward, HAND)
         if self._spans_machines and self.memory.questions.take(now_ns, 2 * self.memory.between.transit_ns):
             self._ask()
         self.report_if_due(now_ns)
@@ -234,28 +234,19 @@ class DelayNode(ImpairedLink):
         """Return whether a stop of this id is kept already, or was the last one obeyed."""
         return self._stop.knows(identifier)
 
-    def _send_stop(self, now_ns: int) -> None:
-        """Send a copy of the kept stop if it is due, and report once that the instrument does not answer."""
-        was_unreached = self._stop.is_unreached
-        if (payload := self._stop.copy(now_ns, self.clock.now_ns())) is None:
-            return
-        self.forward.outlet.send("session/control", payload)
-        self._forwarded[self.forward.endpoint] += 1
-        if self._stop.is_unreached and not was_unreached:
-            text = f"{TIP} has not answered an emergency stop: it is kept and sent until it has, and no sample crosses"
-            self.event("link", "warning", text)
+    def _send_stop(self, now_ns: int, stop: FarStop, way: DirectionPath, device: str, also: str = "") -> None:
+        """Send a copy of the stop that is kept for a device if it is due; report once that the device does not answer.
 
-    def _send_stop_to_hand(self, now_ns: int) -> None:
-        """Send a copy of a stop of the instrument's site if it is due; report once that the hand does not answer."""
-        was_unreached = self._hand_stop.is_unreached
-        if (payload := self._hand_stop.copy(now_ns, self.clock.now_ns())) is None:
+        `also`: what else follows for the sentence of that report.
+        """
+        was_unreached = stop.is_unreached
+        if (payload := stop.copy(now_ns, self.clock.now_ns())) is None:
             return
-        self.backward.outlet.send("session/control", payload)
-        self._forwarded[self.backward.endpoint] += 1
-        if self._hand_stop.is_unreached and not was_unreached:
-            self.event(
-                "link", "warning", f"{HAND} has not answered an emergency stop: it is kept and sent until it has"
-            )
+        way.outlet.send("session/control", payload)
+        self._forwarded[way.endpoint] += 1
+        if stop.is_unreached and not was_unreached:
+            text = f"{device} has not answered an emergency stop: it is kept and sent until it has{also}"
+            self.event("link", "warning", text)
 
     def _note_answer(self, event: SessionEvent) -> None:
         """Forget a kept stop whose device has obeyed it by this event; carry a stop of the instrument's site."""

@@ -73,7 +73,7 @@ class HapticNode(DeviceNode):
     commands: ClassVar[tuple[str, ...]] = ("start", "stop", "arm", "estop")
     named_commands: ClassVar[tuple[str, ...]] = ("set",)
     journalled = True
-    # 2: the base of what returns, the limits of the hand, and the force of the motor.
+    # 2: the force of the motor is what the arm gives the hand.
     state_version = 2
     # After haptic/state, the tick continues in the master half, and soon at the slave's site.
     idle_after = ""

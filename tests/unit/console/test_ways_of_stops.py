@@ -54,13 +54,13 @@ SLAVE_HALF, MASTER_HALF = "controller@slave", "controller@master"
         (Here((HAND, LINK)), "slave", Reach(direct=(HAND,), by_link=(TIP,))),
         (Here((HAND, LINK), networked=(TIP,)), "", Reach(direct=(HAND,), by_link=(TIP,))),
         (Here((HAND, LINK), older=(SLAVE_HALF,)), "", Reach(direct=(HAND,), by_link=(TIP,))),
-        # without a link it does not run where other nodes of its site do
+        # Without a link, the tip does not run where other nodes of its site do.
         (Here((HAND,), older=(SLAVE_HALF,)), "", Reach(direct=(HAND,), absent=(TIP,))),
         # and may run elsewhere where none does
         (Here((HAND,)), "", Reach(direct=(HAND,), far=(TIP,))),
         (Here((HAND,)), "master", Reach(direct=(HAND,), by_console=(TIP,))),
         (Here((HAND,), networked=(TIP,)), "", Reach(direct=(HAND,), by_console=(TIP,))),
-        # one with a network endpoint belongs here if a launcher of its site does
+        # A tip with a network endpoint belongs here if a launcher of its site does.
         (Here((HAND,), older=(SLAVE_HALF,), networked=(TIP,)), "", Reach(direct=(HAND,), by_console=(TIP,))),
         (Here((HAND,), older=("launcher@slave",), networked=(TIP,)), "", Reach(direct=(HAND,), absent=(TIP,))),
         # one of an older version runs and has no inlet
@@ -69,7 +69,7 @@ SLAVE_HALF, MASTER_HALF = "controller@slave", "controller@master"
         # a hand that is not here, as at the instrument's machine, is reached through the instrument
         (Here((TIP,)), "", Reach(direct=(TIP,), by_instrument=(HAND,))),
         (Here((TIP,), older=(SLAVE_HALF, "launcher@slave")), "slave", Reach(direct=(TIP,), by_instrument=(HAND,))),
-        # where other nodes of its site are here, the link's too, it does not run
+        # The hand does not run where other nodes of its site, the link among them, are here.
         (Here((TIP, LINK)), "", Reach(direct=(TIP,), absent=(HAND,))),
         (Here((TIP,), older=(MASTER_HALF,)), "slave", Reach(direct=(TIP,), absent=(HAND,))),
         (Here((TIP, LINK), networked=(HAND,)), "", Reach(direct=(TIP,), by_instrument=(HAND,))),

@@ -66,7 +66,7 @@ def test_what_does_not_cross_the_link_is_not_expected_on_the_other_side() -> Non
 def test_commands_go_forward_and_events_come_back() -> None:
     rig = book()
     assert rig.sources("afm_node@slave", ["session/control"]) == {"delay_node@slave": ["session/control"]}
-    # from the link come emergency stops of the other site
+    # The link brings emergency stops of the other site.
     senders = ("delay_node@master", "launcher@master")
     assert rig.sources("haptic_node@master", ["session/control"]) == {node: ["session/control"] for node in senders}
     sources = rig.sources("launcher@master", ["session/event"])

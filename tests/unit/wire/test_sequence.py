@@ -242,7 +242,7 @@ def test_the_end_of_a_link_ends_no_numbers_but_shows_what_did_not_arrive() -> No
     for seq in range(5):
         tracker.accept(seq, 10 + seq, 7)
     assert tracker.finish(7, ended=False) == 2
-    # what it did not carry while it was away is a gap, and nobody was restarted
+    # The messages that the link did not carry are a gap, and no publisher was restarted.
     assert tracker.accept(20, 40, 7) is Arrival.AFTER_GAP
     assert (tracker.lost, tracker.gaps, tracker.restarts, tracker.last_gap) == (15, 2, 0, (7, 19))
 
