@@ -28,7 +28,8 @@ M = TypeVar("M", bound=Message)
 # The topics of the loop (STAGES) serve to split the age of the loop into its parts.
 NEEDED = ("node/health", "link/status", "law/status", "haptic/state", "session/event", "link/delay", *STAGES)
 _LINK = "delay_node@master"
-_HEALTH_FACTS = ("state", "uptime_s", "rate_hz", "overruns", "cpu_percent", "memory_bytes", "realtime", "memory_locked")
+# Fields of node/health that are no facts of `node_facts`: the header, and what it gives as sums or by another name.
+_NO_FACTS = (*Message.__struct_fields__, "inputs", "rejected")
 _LAW_FACTS = ("src", "law", "switching", "passive", "heard", "silence_s", "net_valid", "net_energy_j")
 _HAND_FACTS = ("src", "mode", "estop", "limited", "session_s")
 _AFM_FACTS = ("src", "mode", "limited", "in_contact", "meniscus")
@@ -171,14 +172,16 @@ def _facts(message: Message, names: Iterable[str]) -> dict[str, Any]:
 
 
 def node_facts(node: str, health: NodeHealth | None, problem: str | None) -> dict[str, Any]:
-    """Return the health of a node as values for JSON; only name and problem, with `heard` false, if there is none."""
+    """Return the health of a node as values for JSON; only name and problem, with `heard` false, if there is none.
+
+    It has every field of node/health, and the counts of the inputs as sums.
+    """
     facts: dict[str, Any] = {"node": node, "heard": health is not None, "problem": problem}
     if health is None:
         return facts
     return {
         **facts,
-        **_facts(health, (*_HEALTH_FACTS, "replay")),
-        "period_s": health.period_s,
+        **_facts(health, (name for name in health.__struct_fields__ if name not in _NO_FACTS)),
         "lateness_p99_s": health.lateness_p99_s if health.period_s else None,
         "oldest_input_s": oldest_input_s(health),
         "received": total(row.received for row in health.inputs),

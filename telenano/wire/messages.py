@@ -11,7 +11,7 @@ never sent.
 
 import math
 import sys
-from typing import Annotated, Any, ClassVar, Literal, dataclass_transform
+from typing import Annotated, Any, ClassVar, Literal, dataclass_transform, get_type_hints
 
 import msgspec
 import numpy as np
@@ -61,6 +61,15 @@ def about(description: str | None = None, pattern: str | None = None, **rules: A
     # In Python `$` also matches before a final newline, and `\Z` does not.
     whole = pattern and pattern.removesuffix("$") + r"\Z"
     return Meta(description=description, pattern=whole, **rules)
+
+
+def of_process(heading: str) -> dict[str, Any]:
+    """Return the further facts of a field of node/health that is a figure of the whole process.
+
+    All nodes of a process report the same value. The tables of `telenano status` and `telenano up` show it once, in a
+    column with this heading.
+    """
+    return {"heading": heading}
 
 
 Source = Annotated[str, about(pattern=SOURCE_PATTERN, max_length=64)]
@@ -645,8 +654,10 @@ class NodeHealth(Message):
             "topic was already waiting; stale: older than the deadline of its topic"
         ),
     ]
-    cpu_percent: Annotated[Percent, about("Processor time used since the last report [% of one core]")]
-    memory_bytes: Annotated[Count, about("Resident memory [bytes]")]
+    cpu_percent: Annotated[
+        Percent, about("Processor time used since the last report [% of one core]", extra=of_process("CPU %"))
+    ]
+    memory_bytes: Annotated[Count, about("Resident memory [bytes]", extra=of_process("MB"))]
     realtime: Annotated[bool, about("SCHED_FIFO is in force")]
     memory_locked: Annotated[bool, about("Memory is locked")]
     replay: Annotated[bool, about("The messages of this node come from a recording, not from an instrument")]
@@ -696,3 +707,12 @@ class NodeHealth(Message):
             "well: a sum counts them once; absent where the node has a process of its own"
         ),
     ] = None
+
+
+# Headings of the figures of a process in node/health, by the names of their fields (`of_process`).
+PROCESS_FIGURES: dict[str, str] = {
+    name: note.extra["heading"]
+    for name, hint in get_type_hints(NodeHealth, include_extras=True).items()
+    for note in getattr(hint, "__metadata__", ())
+    if isinstance(note, Meta) and note.extra is not None and "heading" in note.extra
+}
