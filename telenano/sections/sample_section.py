@@ -140,7 +140,7 @@ class _OwnSample(Settings):
 
 # a layer may not use the keys of the section
 TAKEN = frozenset(_OwnSample.model_fields)
-LAYERS = Entries("layers", "layer", checked_layer, TAKEN)
+LAYERS = Entries("samples", "layer", checked_layer, TAKEN)
 
 if TYPE_CHECKING:
 

@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from pydantic_core import PydanticKnownError, core_schema
 
 from telenano.settings.config import section_of, validate
-from telenano.settings.entries import Entries
+from telenano.settings.entries import Entries, SharedSection
 from telenano.settings.known_packages import where_it_is
 from telenano.settings.plugins import LoadedEntries, installed
 
@@ -109,6 +109,9 @@ class DeviceDriver:
 class Drivers(Entries[DeviceDriver]):
     """The drivers of packages for a node, each imported when it is first asked for.
 
+    An entry that is a model of settings and no driver is a section of the hand's node. Drivers of any package get it by
+    its name among their `keywords`.
+
     Args:
         node: The node that uses them.
         own: The names of the node's own drivers.
@@ -119,7 +122,7 @@ class Drivers(Entries[DeviceDriver]):
     def __init__(
         self, node: str, own: Collection[str], taken: Collection[str], experimental: Collection[str] = ()
     ) -> None:
-        super().__init__("devices", "driver", self._checked, taken, own)
+        super().__init__("devices", "device", self._checked, taken, own, "section" if node == "haptic_node" else "")
         self._node = node
         self._experimental = experimental
 
@@ -153,9 +156,11 @@ class Drivers(Entries[DeviceDriver]):
         """Return the type of the key `driver`."""
         return Annotated[str, _Name(self, self._own)]
 
-    def _checked(self, name: str, value: Any) -> "DeviceDriver | None":
+    def _checked(self, name: str, value: Any) -> "DeviceDriver | SharedSection | None":
+        if isinstance(value, type) and issubclass(value, BaseModel):
+            return SharedSection(value) if self._node == "haptic_node" else None
         if not isinstance(value, DeviceDriver):
-            raise TypeError(f"is a {type(value).__name__}, must be a DeviceDriver")
+            raise TypeError(f"is a {type(value).__name__}, must be a DeviceDriver or a model of settings")
         if value.name != name:
             raise ValueError(f"is registered under another name than its own, {value.name}")
         if value.in_lockstep and not (value.simulated and value.node == "haptic_node"):

@@ -19,13 +19,21 @@ from telenano.settings.plugins import LoadedEntries, load
 T = TypeVar("T")
 
 
+class SharedSection(NamedTuple):
+    """A section that does not belong to one entry alone, such as one that several drivers of a package share."""
+
+    config: type[BaseModel]
+
+
 class Entries(Generic[T]):
     """The entries of a kind, each of which has `config`, the model of its section.
 
+    A `SharedSection` is a section as well, and is no entry that `find` and `all` return.
+
     Args:
-        kind: The kind of entries, such as `layers`.
+        kind: The kind of entries, such as `samples`.
         what: The noun for one entry in descriptions, such as `layer`.
-        check: Returns the usable part of an entry, as for `plugins.load`.
+        check: Returns the usable part of an entry, as for `plugins.load`; None leaves out those for another section.
         taken: The other keys of the section, which no entry may use.
         own: The names of the node itself, for which `find` returns None.
         absent: The word for such an entry in `known_packages`, where one of this project's packages has some.
@@ -35,14 +43,14 @@ class Entries(Generic[T]):
         self,
         kind: str,
         what: str,
-        check: Callable[[str, Any], T | None],
+        check: Callable[[str, Any], T | SharedSection | None],
         taken: Collection[str],
         own: Collection[str] = (),
         absent: str = "",
     ) -> None:
         self._kind, self._what, self._check = kind, what, check
         self._taken, self._own, self._absent = frozenset(taken), tuple(own), absent
-        self._asked: dict[str, T | None] = {}
+        self._asked: dict[str, T | SharedSection | None] = {}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -55,10 +63,13 @@ class Entries(Generic[T]):
         Raises:
             ValueError: The entry cannot be used; the message says why.
         """
-        if name in self._own:
-            return None
+        found = None if name in self._own else self.with_section(name)
+        return None if isinstance(found, SharedSection) else found
+
+    def with_section(self, name: str) -> T | SharedSection | None:
+        """Return what has the section of a name, importing it now; ValueError as `find`."""
         if name not in self._asked:
-            loaded = load(self._kind, self._check, self._taken, name)
+            loaded = self._loaded(name)
             if name in loaded.problems:
                 raise ValueError(loaded.problems[name])
             self._asked[name] = loaded.found.get(name)
@@ -66,7 +77,11 @@ class Entries(Generic[T]):
 
     def all(self) -> LoadedEntries[T]:
         """Return every entry, importing all of them now."""
-        return load(self._kind, self._check, self._taken)
+        found, problems = self._loaded()
+        return LoadedEntries({name: e for name, e in found.items() if not isinstance(e, SharedSection)}, problems)
+
+    def _loaded(self, name: str | None = None) -> LoadedEntries[T | SharedSection]:
+        return load(self._kind, self._check, self._taken, name)
 
     def sections(self) -> Any:
         """Return the fields of a section for the settings of each entry; its model is loaded at validation."""
@@ -79,19 +94,6 @@ class Entries(Generic[T]):
         return where_it_is(f"{self._absent} {name}")
 
 
-class SharedSection(NamedTuple):
-    """A section that does not belong to one entry alone, such as one that several drivers of a package share."""
-
-    config: type[BaseModel]
-
-
-def checked_model(name: str, value: Any) -> SharedSection:
-    """Return an entry that is a model of settings as a shared section; TypeError for another entry."""
-    if not (isinstance(value, type) and issubclass(value, BaseModel)):
-        raise TypeError(f"is a {type(value).__name__}, must be a model of settings")
-    return SharedSection(value)
-
-
 @dataclass(frozen=True)
 class _Section:
     """The validator of an entry's section; None passes, because dumped settings hold None for another node's entry."""
@@ -102,7 +104,7 @@ class _Section:
     def _checked(self, value: Any, info: core_schema.ValidationInfo) -> BaseModel | None:
         if value is None:
             return None
-        entry = self.entries.find(self.name)
+        entry = self.entries.with_section(self.name)
         if entry is None:
             if hint := self.entries.where_it_is(self.name):
                 raise ValueError(hint)
@@ -117,7 +119,10 @@ class _Section:
         return core_schema.with_info_plain_validator_function(self._checked)
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
-        entry = self.entries.all().found.get(self.name)
+        try:
+            entry = self.entries.with_section(self.name)
+        except ValueError:
+            entry = None
         if entry is None:
             raise PydanticOmit
         return {"anyOf": [handler(entry.config.__pydantic_core_schema__), {"type": "null"}]}

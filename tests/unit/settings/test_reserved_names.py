@@ -20,7 +20,7 @@ from telenano.wire.errors import ConfigError
 MODELS = (
     (samples.SampleConfig, samples.TAKEN, set(samples.LAYERS.names)),
     (afm.AfmConfig, afm.TAKEN, afm.SAMPLES.found.keys() | set(afm.DRIVERS.names)),
-    (haptic.HapticConfig, haptic.TAKEN, {*haptic.DRIVERS.names, *haptic.SECTIONS.names}),
+    (haptic.HapticConfig, haptic.TAKEN, set(haptic.DRIVERS.names)),
     (controller.ControllerConfig, controller.TAKEN, controller.PACKAGE_LAWS.found.keys()),
 )
 
