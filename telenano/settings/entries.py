@@ -36,7 +36,8 @@ class Entries(Generic[T]):
         check: Returns the usable part of an entry, as for `plugins.load`; None leaves out those for another section.
         taken: The other keys of the section, which no entry may use.
         own: The names of the node itself, for which `find` returns None.
-        absent: The word for such an entry in `known_packages`, where one of this project's packages has some.
+        absent: The word for such a section in `known_packages`, where one of this project's packages has some.
+        called: The word for the value of the key that names an entry there; the one of `absent` if not given.
     """
 
     def __init__(
@@ -47,9 +48,11 @@ class Entries(Generic[T]):
         taken: Collection[str],
         own: Collection[str] = (),
         absent: str = "",
+        called: str = "",
     ) -> None:
         self._kind, self._what, self._check = kind, what, check
         self._taken, self._own, self._absent = frozenset(taken), tuple(own), absent
+        self._called = called or absent
         self._asked: dict[str, T | SharedSection | None] = {}
 
     @property
@@ -89,6 +92,10 @@ class Entries(Generic[T]):
         names = dict.fromkeys((*self.names, *known_of(self._absent)))
         return package_fields({n: (Annotated[Any, _Section(self, n)], None, f"{about} {n}.") for n in names})
 
+    def name_type(self) -> Any:
+        """Return the type of the key that names one of the node's own or an entry, which is then imported."""
+        return Annotated[str, _Name(self, self._own, self._called)]
+
     def where_it_is(self, name: str) -> str:
         """Return a hint at the package of this project that has an entry but is not installed; empty where none has."""
         return where_it_is(f"{self._absent} {name}")
@@ -101,15 +108,20 @@ class _Section:
     entries: Entries[Any]
     name: str
 
+    @property
+    def model(self) -> type[BaseModel] | None:
+        """The model of the section, whose package is imported now; None where there is none. ValueError as `find`."""
+        entry = self.entries.with_section(self.name)
+        return None if entry is None else entry.config
+
     def _checked(self, value: Any, info: core_schema.ValidationInfo) -> BaseModel | None:
         if value is None:
             return None
-        entry = self.entries.with_section(self.name)
-        if entry is None:
+        config = self.model
+        if config is None:
             if hint := self.entries.where_it_is(self.name):
                 raise ValueError(hint)
             raise PydanticKnownError("extra_forbidden")
-        config: type[BaseModel] = entry.config
         if info.mode == "json":
             # A strict model accepts a list as a tuple only when it reads JSON.
             return config.model_validate_json(json.dumps(value))
@@ -120,9 +132,35 @@ class _Section:
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
         try:
-            entry = self.entries.with_section(self.name)
+            config = self.model
         except ValueError:
-            entry = None
-        if entry is None:
+            config = None
+        if config is None:
             raise PydanticOmit
-        return {"anyOf": [handler(entry.config.__pydantic_core_schema__), {"type": "null"}]}
+        return {"anyOf": [handler(config.__pydantic_core_schema__), {"type": "null"}]}
+
+
+@dataclass(frozen=True)
+class _Name:
+    """The validator of a key that names an entry, such as `driver`."""
+
+    entries: Entries[Any]
+    own: tuple[str, ...]
+    called: str
+
+    def _checked(self, value: str) -> str:
+        if value in self.own or self.entries.find(value) is not None:
+            return value
+        if hint := where_it_is(f"{self.called} {value}"):
+            raise ValueError(hint)
+        *names, last = map(repr, self._known())
+        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(names)} or {last}"})
+
+    def _known(self) -> tuple[str, ...]:
+        return (*self.own, *self.entries.all().found)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        return core_schema.no_info_after_validator_function(self._checked, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
+        return {"enum": list(self._known()), "type": "string"}
