@@ -63,15 +63,6 @@ def about(description: str | None = None, pattern: str | None = None, **rules: A
     return Meta(description=description, pattern=whole, **rules)
 
 
-def of_process(heading: str) -> dict[str, Any]:
-    """Return the further facts of a field of node/health that is a figure of the whole process.
-
-    All nodes of a process report the same value. The tables of `telenano status` and `telenano up` show it once, in a
-    column with this heading.
-    """
-    return {"heading": heading}
-
-
 Source = Annotated[str, about(pattern=SOURCE_PATTERN, max_length=64)]
 Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 Run = Annotated[int, Meta(ge=0, le=2**32 - 1)]
@@ -655,9 +646,9 @@ class NodeHealth(Message):
         ),
     ]
     cpu_percent: Annotated[
-        Percent, about("Processor time used since the last report [% of one core]", extra=of_process("CPU %"))
+        Percent, about("Processor time used since the last report [% of one core]", extra={"heading": "CPU %"})
     ]
-    memory_bytes: Annotated[Count, about("Resident memory [bytes]", extra=of_process("MB"))]
+    memory_bytes: Annotated[Count, about("Resident memory [bytes]", extra={"heading": "MB"})]
     realtime: Annotated[bool, about("SCHED_FIFO is in force")]
     memory_locked: Annotated[bool, about("Memory is locked")]
     replay: Annotated[bool, about("The messages of this node come from a recording, not from an instrument")]
@@ -709,7 +700,8 @@ class NodeHealth(Message):
     ] = None
 
 
-# Headings of the figures of a process in node/health, by the names of their fields (`of_process`).
+# The fields of node/health with a heading are figures of the process, which all of its nodes report. `telenano status`
+# and `telenano up` show such a figure once, in a column with its heading.
 PROCESS_FIGURES: dict[str, str] = {
     name: note.extra["heading"]
     for name, hint in get_type_hints(NodeHealth, include_extras=True).items()
