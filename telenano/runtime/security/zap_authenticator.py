@@ -9,15 +9,15 @@ import zmq
 
 from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.bus.publisher import ZmqPublisher
-from telenano.runtime.security.access_control import AccessControl
-from telenano.runtime.security.keyring import key_text
-from telenano.runtime.security.socket_monitor import (
+from telenano.runtime.bus.socket_monitor import (
     CLOSED_IN_HANDSHAKE,
     FAILURES,
     PROTOCOL_FAILED,
     Monitor,
     RejectionCounter,
 )
+from telenano.runtime.security.access_control import AccessControl
+from telenano.runtime.security.keyring import key_text
 
 # ZeroMQ's authentication protocol (ZAP) prescribes this endpoint.
 _ZAP_ENDPOINT = "inproc://zeromq.zap.01"

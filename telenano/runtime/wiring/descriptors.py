@@ -20,13 +20,13 @@ _OPEN = Path("/dev/fd")
 # Descriptors of a ZeroMQ context: each thread has a mailbox and an epoll; the context has a mailbox, and the two of its
 # reaper thread.
 _OF_A_THREAD, _OF_A_CONTEXT = 2, 3
-# A socket of ZeroMQ has a mailbox.
-_OF_A_SOCKET = 1
+# A socket of ZeroMQ has a mailbox. A reader has two further sockets, which report the ends of its connections.
+_OF_A_SOCKET, _OF_A_READER = 1, 3
 # A bound ipc endpoint has its listener, its lock, and the open inode that identifies its file.
 _OF_AN_ENDPOINT = 3
-# Files that a node opens only for a moment: its recording or lists, a table of the kernel, and the probe by which it
-# finds that it is deaf, with its socket.
-_FOR_A_MOMENT = 5
+# Files that a node opens only for a moment: its recording or lists, a table of the kernel, and the probe whether an
+# endpoint is held.
+_FOR_A_MOMENT = 3
 # The parts of the table of nodes that run as long as the rig does.
 _PARTS = ("rig", "endpoint", "launcher")
 
@@ -95,7 +95,7 @@ class Descriptors:
 
     def add_reader(self, publishers: int) -> None:
         """Add a socket that connects to this number of publishers."""
-        self.needed += _OF_A_SOCKET + publishers
+        self.needed += _OF_A_READER + publishers
 
     def check(self, owner: str) -> None:
         """Raise EndpointError, which names the owner, if the sum exceeds the limit of open files."""
