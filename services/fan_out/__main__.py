@@ -23,8 +23,9 @@ from telenano.runtime.bus.ipc_listener import IpcListener
 from telenano.runtime.bus.local_endpoint import fan_out_endpoint
 from telenano.runtime.bus.socket_monitor import LOCAL_ENDS, Connection, Monitor
 
-# Messages kept for a reader that stands still, as many as a publisher keeps.
-_HIGH_WATER_MARK = 22_000
+# Messages kept for this process if it stands still, as many as a publisher keeps, and for an observer that does: those
+# of a second, because an observer may lack some, and may be any program.
+_HIGH_WATER_MARK, _OF_AN_OBSERVER = 22_000, 2_200
 # Interval between attempts to reconnect to a lost node.
 _RECONNECT_MS = 100
 # Displays may be late, but the haptic loop may not, so this process has low priority.
@@ -55,7 +56,7 @@ def serve(
     """
     node, observers = context.socket(zmq.XSUB), context.socket(zmq.XPUB)
     node.set(zmq.RCVHWM, _HIGH_WATER_MARK)
-    observers.set(zmq.SNDHWM, _HIGH_WATER_MARK)
+    observers.set(zmq.SNDHWM, _OF_AN_OBSERVER)
     node.set(zmq.RECONNECT_IVL, _RECONNECT_MS)
     for each in (node, observers):
         each.set(zmq.LINGER, 0)

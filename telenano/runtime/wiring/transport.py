@@ -7,6 +7,7 @@ priority than the loop, and the kernel limits the number of connections.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import zmq
@@ -14,7 +15,8 @@ import zmq
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import PINGING_HIGH_WATER_MARK, ConnectionEvent, Subscriber
 from telenano.runtime.bus.hearing import BEACON, Connections, Hearing, LocalConnections
-from telenano.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
+from telenano.runtime.bus.local_endpoint import fan_out_endpoint, is_bound, path_of
+from telenano.runtime.bus.local_readers import LocalReaders, holders_of
 from telenano.runtime.bus.places import Places
 from telenano.runtime.bus.publisher import ZmqPublisher, bind
 from telenano.runtime.bus.socket_monitor import RejectionCounter
@@ -24,7 +26,7 @@ from telenano.runtime.security.keyring import Keyring
 from telenano.runtime.security.peer_connections import PeerConnections
 from telenano.runtime.security.private_files import check_runtime_directory
 from telenano.runtime.security.zap_authenticator import ZapAuthenticator
-from telenano.runtime.wiring.descriptors import Descriptors, readers_of
+from telenano.runtime.wiring.descriptors import Descriptors, descriptors_beyond, readers_of
 from telenano.timing.clock import Clock
 from telenano.wire.codec import WireError
 from telenano.wire.errors import ConfigError, EndpointError
@@ -189,6 +191,8 @@ class Transport:
         self.places = Places(self._prepare_folder)
         # The connections to all publishers.
         self.hearing = Hearing(clock)
+        # The connections of other processes of this machine to this one.
+        self.local_readers = LocalReaders(self._holders, lambda: descriptors_beyond(self._needed_files.needed))
 
     @property
     def descriptors(self) -> Sequence[int]:
@@ -223,6 +227,7 @@ class Transport:
         if network is None:
             publisher = make(self.context, self.clock, key, local or "", kind=kind)
             self.places.add(publisher)
+            self.local_readers.add(local)
             return publisher
 
         def prepare(socket: "zmq.Socket[bytes]") -> None:
@@ -247,6 +252,7 @@ class Transport:
             raise
         self._authenticator.add(publisher)
         self.places.add(publisher)
+        self.local_readers.add(local)
         return publisher
 
     def subscribers(
@@ -311,6 +317,7 @@ class Transport:
         self._needed_files.check(self.owner)
         inlet = EstopInlet(self.context, self.clock, key, endpoint)
         self.places.add(inlet)
+        self.local_readers.add(endpoint)
         return inlet
 
     def process_events(self) -> list[ConnectionEvent]:
@@ -385,8 +392,16 @@ class Transport:
                     handler.apply_permissions()
         except ConfigError as error:
             events.append(ConnectionEvent("error", f"the list of keys was not reloaded: {error}", {}))
+        for closed in self.local_readers.look():
+            text = f"{closed.number} connections of process {closed.process} were closed: {closed.reason}"
+            events.append(ConnectionEvent("warning", text, {"process": closed.process, "count": closed.number}))
         self.hearing.look(now)
         return events
+
+    def _holders(self) -> set[int]:
+        """Return the processes of this machine that are nodes of the site file."""
+        endpoints = (self.book.local_endpoint(node) for node in self.book.nodes)
+        return holders_of(Path(f"{path_of(endpoint)}.lock") for endpoint in endpoints if endpoint is not None)
 
 
 def _set_heartbeats(socket: "zmq.Socket[bytes]", silence_ms: int) -> None:
