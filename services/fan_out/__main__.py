@@ -124,7 +124,7 @@ class ServedNode:
 
 def _close(context: "zmq.Context[zmq.Socket[bytes]]", listener: IpcListener, monitor: Monitor) -> None:
     listener.remove()
-    monitor.socket.close()
+    monitor.close()
     context.term()
 
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 import zmq
 
 from telenano.runtime.bus.publisher import FIRST_THREAD, SEND_HIGH_WATER_MARK, Publisher
+from telenano.runtime.bus.socket_monitor import end_monitor
 from telenano.timing.clock import NEVER_NS, Clock
 from telenano.wire import TOPICS
 from telenano.wire.codec import MAX_MESSAGE_BYTES, WireError, accept, read_whole_header
@@ -312,6 +313,7 @@ class Subscriber(MessageReader):
 
     def close(self) -> None:
         """Close the socket."""
+        end_monitor(self.socket)
         self.socket.close()
 
 

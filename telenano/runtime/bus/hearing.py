@@ -78,7 +78,7 @@ class Connections(Generic[C]):
 
     def close(self) -> None:
         """Close the monitor; the owner of the subscriber closes that."""
-        self.monitor.socket.close()
+        self.monitor.close()
 
     def process_events(self) -> bool:
         """Update the state of the connections from monitor events; return True if more events are pending."""

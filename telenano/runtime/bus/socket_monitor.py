@@ -51,6 +51,7 @@ class Monitor:
     def __init__(self, socket: "zmq.Socket[bytes]", wanted: int) -> None:
         """Monitor a socket for the events in the bit mask `wanted`."""
         self.has_pending = False
+        self._monitored = socket
         self.socket: zmq.Socket[bytes] = socket.get_monitor_socket(wanted)
 
     def events(self) -> list[MonitorEvent]:
@@ -66,6 +67,21 @@ class Monitor:
             taken.append(MonitorEvent(kind, value, endpoint.decode(errors="replace")))
         self.has_pending = True
         return taken
+
+    def close(self) -> None:
+        """Close the socket of the events, at any time in the life of the monitored one."""
+        end_monitor(self._monitored)
+        self.socket.close()
+
+
+def end_monitor(socket: "zmq.Socket[bytes]") -> None:
+    """End the events of a socket, if it has any, before it or the socket of the events is closed.
+
+    libzmq would wait for ever, in the thread that serves all sockets, to report an event that nobody can read. The call
+    is possible while another thread uses the socket, because libzmq guards its monitor by a lock.
+    """
+    if not socket.closed:
+        socket.disable_monitor()
 
 
 @dataclass

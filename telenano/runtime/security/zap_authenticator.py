@@ -104,12 +104,14 @@ class ZapAuthenticator:
         """Close the monitor that was prepared for a socket that could not bind."""
         monitor = self._monitors.pop(node, None)
         if monitor is not None:
-            monitor.socket.close()
+            monitor.close()
 
     def close(self) -> None:
         """Close the sockets of the ZAP handler and the monitors, which closing the publishers does not close."""
-        for socket in self.sockets:
-            socket.close()
+        if self.socket is not None:
+            self.socket.close()
+        for bound in self.endpoints:
+            bound.monitor.close()
 
     @property
     def sockets(self) -> list["zmq.Socket[bytes]"]:
