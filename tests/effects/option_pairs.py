@@ -3,8 +3,7 @@
     faults = faults_of(command, first, second, folder)
 
 A pair is run in virtual time or to its refusal. No pair may end with a traceback or with a code that is not promised,
-`--json` has one object beside any other option, what a rule of the command calls void is refused, and an option that
-acts alone acts beside another one, or is refused with it.
+`--json` has one object beside any other option, and what a rule of the command calls void is refused.
 """
 
 import functools
@@ -15,14 +14,14 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from option_effects import COMMANDS, WITHOUT, Seen, commands, filled, ready, run, values_of
+from option_effects import COMMANDS, Seen, commands, filled, ready, run, values_of
 
 from telenano.cli.option_rules import Void, name_of, rules_of
 
 # The codes that docs/cli.md promises of a command that no signal ends.
 CODES = (0, 1, 2, 3)
 REFUSED = 2
-# Commands of a rig, which has none here, to their refusal: what their options do is not seen.
+# Commands of a rig, of which there is none here, to their refusal.
 TO_A_RIG: Mapping[str, str] = {
     "up": "up fig12 --out {out}/made",
     "session": "session mark",
@@ -46,16 +45,20 @@ TO_A_RIG: Mapping[str, str] = {
 WORDS: Mapping[str, str] = {**TO_A_RIG, **COMMANDS}
 # Options that let a command wait for a person, by command.
 ENDLESS = ("replay --loop", "replay --paused")
-# Options that do nothing beside another one because that does what they ask for, by command and pair, with the reason.
-IMPLIED: Mapping[str, str] = {}
 
 
 def pairs() -> Iterator[tuple[str, Any, Any]]:
     """Yield each pair of options of each command."""
-    for name, command in commands():
+    for name, command in every_command().items():
         if name in WORDS:
             options = options_of(name, command)
             yield from ((name, one, other) for at, one in enumerate(options) for other in options[at + 1 :])
+
+
+@functools.cache
+def every_command() -> dict[str, Any]:
+    """Return each command by its name."""
+    return dict(commands())
 
 
 def options_of(name: str, command: Any) -> list[Any]:
@@ -84,45 +87,23 @@ def seen_of(command: str, words: list[str], folder: Path) -> Seen:
     return run(words, folder / "out", ready(command, "", folder) if command in COMMANDS else lambda: None)
 
 
-@functools.lru_cache(maxsize=100)
-def alone(command: str, options: tuple[Any, ...], folder: Path) -> tuple[dict[str, Any], frozenset[str]]:
-    """Return what a command leaves, with an option or none, and the names of what is the same in a second run."""
-    words = words_with(command, options, folder)
-    first, second = (dict(seen_of(command, words, folder).items()) for _ in range(2))
-    return first, frozenset(name for name in first if first[name] == second.get(name))
-
-
-def differs(before: tuple[dict[str, Any], frozenset[str]], now: Mapping[str, Any]) -> bool:
-    """Return whether something that two runs have alike is another now."""
-    first, stable = before
-    return any(now.get(name) != first[name] for name in stable)
-
-
 def faults_of(command: str, one: Any, other: Any, folder: Path) -> list[str]:
     """Return the promises that a pair of options breaks, each as a sentence."""
     words = words_with(command, (one, other), folder)
-    pair = f"{command} {one.opts[0]} {other.opts[0]}"
     seen = seen_of(command, words, folder)
     faults = [] if seen.code in CODES else [f"{' '.join(words)}: code {seen.code}"]
-    typed = dict(commands())[command]
-    with_json = words if "--json" in words else [*words, "--json"]
-    # Half of the pairs are run again for their object.
-    has_json = any("--json" in option.opts for option in typed.params)
-    if has_json and (with_json == words or zlib.crc32(pair.encode()) % 2):
-        as_json = seen if with_json == words else seen_of(command, with_json, folder)
-        faults += [] if is_one_object(as_json) else [f"{' '.join(with_json)}: {as_json.lines[:3]} is not one object"]
-    if (void := [row for row in rules_of(typed) if isinstance(row, Void) and is_void(row, typed, words)]) and (
-        seen.code != REFUSED
-    ):
+    typed = every_command()[command]
+    void = [row for row in rules_of(typed) if isinstance(row, Void) and is_void(row, typed, words)]
+    if void and seen.code != REFUSED:
         faults.append(f"{' '.join(words)}: {void[0].options} is void and not refused")
-    elif command in COMMANDS and seen.code != REFUSED and pair not in IMPLIED:
-        now, base = dict(seen.items()), alone(command, (), folder)
-        for idle, acting in ((one, other), (other, one)):
-            if {idle.opts[0], f"{command} {idle.opts[0]}"} & WITHOUT.keys():
-                continue
-            by_itself, beside = alone(command, (idle,), folder), alone(command, (acting,), folder)
-            if by_itself[0]["exit code"] != REFUSED and differs(base, by_itself[0]) and not differs(beside, now):
-                faults.append(f"{' '.join(words)}: {idle.opts[0]} does nothing beside {acting.opts[0]}")
+    if "--json" not in words and any("--json" in option.opts for option in typed.params):
+        # Half of the pairs are run again for their object.
+        if zlib.crc32(f"{command} {one.opts[0]} {other.opts[0]}".encode()) % 2:
+            return faults
+        words = [*words, "--json"]
+        seen = seen_of(command, words, folder)
+    if "--json" in words and not is_one_object(seen):
+        faults.append(f"{' '.join(words)}: {seen.lines[:3]} is not one object")
     return faults
 
 

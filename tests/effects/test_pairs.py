@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from option_effects import COSTLY, SLOW
-from option_pairs import IMPLIED, TO_A_RIG, WORDS, faults_of, pairs
+from option_pairs import TO_A_RIG, WORDS, faults_of, pairs
 
 from telenano.cli.child_session import run_session
 from telenano.wire.errors import RigError
@@ -67,7 +67,5 @@ def test_a_tenth_of_the_pairs_of_options_keeps_the_promises(folder: Path) -> Non
     assert not found, "\n".join(found)
 
 
-def test_rows_are_of_pairs_and_commands_that_are_tried() -> None:
-    known = {f"{name} {one.opts[0]} {other.opts[0]}" for name, one, other in PAIRS}
-    assert known >= IMPLIED.keys()
-    assert {name for name, _, _ in PAIRS} >= TO_A_RIG.keys() - {"estop"}
+def test_rows_are_of_commands_that_have_pairs() -> None:
+    assert {name for name, _, _ in PAIRS} >= TO_A_RIG.keys()
