@@ -79,13 +79,15 @@ def points_of(sweeps: Sequence[str], seed_option: str = "") -> list[Point]:
 def without_sweep(words: Sequence[str], command: str = "up") -> list[str]:
     """Return the arguments of a command line that belong to each session of its sweep."""
     kept, skip = [], False
+    # The sessions of --no-report have no figure; that which compares them has.
+    own = (*_OWN, "--format", "--style") if "--no-report" in words else _OWN
     names = {command, *(alias for alias, meant in ALIASES.items() if meant == command)}
     begin = next(place for place, word in enumerate(words) if word in names)
     for word in words[begin + 1 :]:
         name, sign, _ = word.partition("=")
-        if not skip and word != "--json" and name not in _OWN:
+        if not skip and word != "--json" and name not in own:
             kept.append(word)
-        skip = not skip and name in _OWN and not sign
+        skip = not skip and name in own and not sign
     return kept
 
 

@@ -35,7 +35,7 @@ TO_A_RIG: Mapping[str, str] = {
     "link profile": "link profile",
     "link clear": "link clear",
     "link probe": "link probe --out {out}/made",
-    "law by-line": "law by-line --scenario fig12",
+    "law by-line": "law by-line --scenario fig12 --duration 0",
     "record": "record --out {out}/made.mcap --duration 0",
     "replay": "replay {demo} --rate 0 --end 0.1 --wait 0",
     "bag fetch": "bag fetch {folder}",

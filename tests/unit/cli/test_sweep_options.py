@@ -98,6 +98,8 @@ def test_each_session_has_the_options_of_the_sweep_but_its_own() -> None:
         "--json",
     ]
     assert without_sweep(words) == ["--scenario", "fig12", "--no-view"]
+    words = ["telenano", "simulate", "fig12", "--no-report", "--format", "svg", "--seeds", "2", "--style=paper"]
+    assert without_sweep(words, "simulate") == ["fig12", "--no-report"]
 
 
 def test_the_sessions_run_one_after_the_other_and_a_failure_is_named(
