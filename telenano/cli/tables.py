@@ -87,11 +87,11 @@ def _refused(facts: Mapping[str, Any]) -> Text:
 
 
 def _of_process(name: str, facts: Mapping[str, Any]) -> Text:
-    """Draw a figure of the process at one of its nodes; bytes are in MB."""
-    value = facts[name]
+    """Draw a figure of the process at one of its nodes, with its limit `most_NAME` if it has one; bytes are in MB."""
     if not counts_for_process(facts["node"], facts["shares_with"]):
         return Text(_SHARED, "dim")
-    return Text("-" if value is None else f"{value / 1e6 if name.endswith('_bytes') else value:.0f}")
+    values = [facts[key] for key in (name, f"most_{name}") if facts.get(key) is not None]
+    return Text(" of ".join(f"{value / 1e6 if name.endswith('_bytes') else value:.0f}" for value in values) or "-")
 
 
 def _granted(facts: Mapping[str, Any]) -> Text:

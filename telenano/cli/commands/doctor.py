@@ -19,6 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from telenano.cli.lazy_commands import NAMED_RIG
+from telenano.cli.option_rules import Void, rules
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import console, fail, print_answer, print_json, report_errors
 from telenano.doctor import checks
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
 _STYLES = {"ok": "green", "warning": "yellow", "problem": "red"}
 
 
+@rules(Void("*", "which checks nothing", beside="--warm", but="--json"))
 def doctor(
     context: typer.Context,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,

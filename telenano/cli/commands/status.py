@@ -12,6 +12,7 @@ from rich.console import Group
 from rich.table import Column, Table
 from rich.text import Text
 
+from telenano.cli.option_rules import Void, rules
 from telenano.cli.options import JsonOption, ListenOption, SiteFileOption
 from telenano.cli.output import NO_ROOM, console, fail, print_answer, print_json, report_errors
 from telenano.cli.tables import LEVEL_STYLES, counts_text, figures
@@ -33,6 +34,7 @@ _LEAST_PART_S = 5e-6
 _AFM_NOTES = {"in_contact": "in contact", "meniscus": "meniscus", "limited": "at a limit"}
 
 
+@rules(Void("*", "which lists every rig, and listens to none", beside="--all", but="--json"))
 def status(
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     duration: ListenOption = _DEFAULT_S,

@@ -47,7 +47,8 @@ RIG = [
 ]
 SECOND_NS = 1_000_000_000
 HEADINGS = (
-    "state", "up", "rate Hz", "late p99 ms", "overruns", "input age ms", "lost", "refused", "CPU %", "MB", "granted",
+    "state", "up", "rate Hz", "late p99 ms", "overruns", "input age ms", "lost", "refused", "CPU %", "MB", "files",
+    "granted",
 )  # fmt: skip
 DIRECTION = {
     "profile": "wan", "settings": {}, "messages_in": 9, "messages_out": 8, "dropped": {"loss": 3}, "duplicated": 0,
@@ -251,7 +252,7 @@ def test_the_facts_of_a_node() -> None:
         "lateness_max_s": 0.0, "device_latency_s": None, "device_age_s": None, "calibration": None,
         "force_limit_n": None, "travel_m": None, "oldest_input_s": 0.002,
         "received": 20, "lost": 4, "refused": {"topic": 2}, "deaf_s": {},
-        "shares_with": [],
+        "shares_with": [], "open_files": None, "most_open_files": None,
     }  # fmt: skip
 
 
@@ -271,6 +272,25 @@ def test_every_field_of_a_report_is_a_fact_and_a_heading_makes_a_column_of_it(mo
         )
     finally:
         figures.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        ((799, 1000), None),
+        ((800, 1000), "has 800 of at most 1000 files and sockets open: `ulimit -n` raises the limit before a start"),
+        ((800, None), None),
+        ((None, 1000), None),
+    ],
+)
+def test_a_process_that_has_nearly_as_many_files_open_as_it_may_is_a_problem(
+    files: tuple[int | None, int | None], words: str | None
+) -> None:
+    node = health("afm_node@slave", open_files=files[0], most_open_files=files[1])
+    document = document_of(status_of(node), ["afm_node@slave"])
+    [facts] = document["nodes"]
+    assert (facts["problem"], document["ok"]) == (words, words is None)
+    assert figures()["files"].cell(facts).plain == " of ".join(str(number) for number in files if number is not None)
 
 
 @pytest.mark.parametrize(
