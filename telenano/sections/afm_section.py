@@ -43,6 +43,7 @@ from telenano.settings.afm_disturbances import DisturbanceConfig
 from telenano.settings.config import Settings, filled, section_of
 from telenano.settings.device_drivers import Drivers
 from telenano.settings.entries import Entries
+from telenano.settings.plugins import installed
 from telenano.wire.errors import ConfigError
 from telenano.wire.extras import missing
 
@@ -486,7 +487,9 @@ _OWN_ENVIRONMENTS = ("tip_sample", "spring")
 # Packages may not use the keys of the section.
 TAKEN = frozenset({*_OWN_DRIVERS, *_OWN_ENVIRONMENTS, *_OwnSections.model_fields})
 SAMPLES = Entries("samples", "sample", checked_sample, TAKEN, _OWN_ENVIRONMENTS)
-DRIVERS = Drivers("afm_node", _OWN_DRIVERS, TAKEN | set(SAMPLES.names), experimental=("modbus",))
+# A sample and a driver of one name would have one section.
+_TAKEN_BY_SAMPLES = {name for name in installed("devices") if name in SAMPLES.names and SAMPLES.is_usable(name)}
+DRIVERS = Drivers("afm_node", _OWN_DRIVERS, TAKEN | _TAKEN_BY_SAMPLES, experimental=("modbus",))
 
 if TYPE_CHECKING:
     DriverName = str
@@ -499,7 +502,7 @@ else:
     DriverName = DRIVERS.name_type()
     EnvironmentName = SAMPLES.name_type()
     _PackageSections = create_model(
-        "_PackageSections", __base__=_OwnSections, **DRIVERS.sections(), **SAMPLES.sections()
+        "_PackageSections", __base__=_OwnSections, **(SAMPLES.sections() | DRIVERS.sections())
     )
 
 

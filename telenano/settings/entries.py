@@ -78,6 +78,10 @@ class Entries(Generic[T]):
             self._asked[name] = loaded.found.get(name)
         return self._asked[name]
 
+    def is_usable(self, name: str) -> bool:
+        """Return whether there is an entry of a name that can be used, importing it now."""
+        return name in self._loaded(name).found
+
     def all(self) -> LoadedEntries[T]:
         """Return every entry, importing all of them now."""
         found, problems = self._loaded()
