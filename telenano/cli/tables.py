@@ -39,6 +39,7 @@ def health_cells(facts: Mapping[str, Any]) -> dict[str, Text]:
     # The figures of a process are shown at one of its nodes.
     counts = counts_for_process(facts["node"], facts["shares_with"])
     style = "" if counts else "dim"
+    files = " of ".join(str(facts[key]) for key in ("open_files", "most_open_files") if facts[key] is not None) or "-"
     granted = [name for name, key in (("fifo", "realtime"), ("memory", "memory_locked")) if facts[key]]
     return {
         "state": Text(state, _STATE_STYLES.get(state, "red")),
@@ -51,6 +52,7 @@ def health_cells(facts: Mapping[str, Any]) -> dict[str, Text]:
         "refused": _alarming(len(facts["refused"].keys() - {SUPERSEDED}), counts_text(facts["refused"])),
         "CPU %": Text(f"{facts['cpu_percent']:.0f}" if counts else _SHARED, style),
         "MB": Text(f"{facts['memory_bytes'] / 1e6:.0f}" if counts else _SHARED, style),
+        "files": Text(files if counts else _SHARED, style),
         "granted": Text(", ".join(granted) or "nothing"),
     }
 

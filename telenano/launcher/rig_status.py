@@ -28,6 +28,8 @@ M = TypeVar("M", bound=Message)
 # The topics of the loop (STAGES) serve to split the age of the loop into its parts.
 NEEDED = ("node/health", "link/status", "law/status", "haptic/state", "session/event", "link/delay", *STAGES)
 _LINK = "delay_node@master"
+# Share of the files that a process may open from which on it is warned of.
+_NEARLY_ALL = 0.8
 _HEALTH_FACTS = ("state", "uptime_s", "rate_hz", "overruns", "cpu_percent", "memory_bytes", "realtime", "memory_locked")
 _LAW_FACTS = ("src", "law", "switching", "passive", "heard", "silence_s", "net_valid", "net_energy_j")
 _HAND_FACTS = ("src", "mode", "estop", "limited", "session_s")
@@ -99,6 +101,8 @@ def problems_of(status: RigStatus, expected: Sequence[str]) -> dict[str, str]:
             problems[node] = ", ".join(
                 f"has received nothing from {peer} for {lasts_s:.1f} s" for peer, lasts_s in deaf_s.items()
             )
+        elif fault := open_files_fault(health[node]):
+            problems[node] = fault
         elif health[node].state == "stopping":
             problems[node] = "is stopping"
         elif stalled := stalled_inputs(status.first[node], health[node]):
@@ -120,6 +124,14 @@ def recording_fault(status: RigStatus, health: NodeHealth) -> str:
     if health.state == "safe":
         return "records nothing: `telenano session set record.status=true --target recorder` shows why"
     return ""
+
+
+def open_files_fault(health: NodeHealth) -> str:
+    """Return that a process has nearly as many files open as it may; empty if it has fewer, or that is not known."""
+    count, most = health.open_files, health.most_open_files
+    if not count or not most or count < _NEARLY_ALL * most:
+        return ""
+    return f"has {count} of at most {most} files and sockets open: `ulimit -n` raises the limit before a start"
 
 
 def stalled_inputs(first: NodeHealth, newest: NodeHealth) -> list[str]:
@@ -186,6 +198,8 @@ def node_facts(node: str, health: NodeHealth | None, problem: str | None) -> dic
         "refused": health.rejected,
         "deaf_s": health.deaf_s or {},
         "shares_with": list(health.shares_with or ()),
+        "open_files": health.open_files,
+        "most_open_files": health.most_open_files,
     }
 
 

@@ -696,3 +696,9 @@ class NodeHealth(Message):
             "well: a sum counts them once; absent where the node has a process of its own"
         ),
     ] = None
+    open_files: Annotated[
+        Count | None, about("Files and sockets that the process has open; absent where the system does not tell")
+    ] = None
+    most_open_files: Annotated[
+        Count | None, about("Files and sockets that the process may have open; absent without a limit")
+    ] = None

@@ -29,7 +29,7 @@ from telenano.timing.loop_age import Part, in_words
 _DEFAULT_S = 1.5
 _COLUMNS = (
     "node", "state", "up", "rate Hz", "late p99 ms", "overruns", "input age ms", "lost", "refused", "CPU %", "MB",
-    "granted",
+    "files", "granted",
 )  # fmt: skip
 _LEFT = ("node", "state", "refused", "granted")
 # A node that makes less than this share of its steps runs on a machine that is too busy.

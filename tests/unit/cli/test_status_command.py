@@ -244,8 +244,27 @@ def test_the_facts_of_a_node() -> None:
         "rate_hz": 999.9, "overruns": 7, "cpu_percent": 25.0, "memory_bytes": 176_000_000, "realtime": True,
         "memory_locked": True, "replay": False, "period_s": 0.001, "lateness_p99_s": 0.00021, "oldest_input_s": 0.002,
         "received": 20, "lost": 4, "refused": {"topic": 2}, "deaf_s": {},
-        "shares_with": [],
+        "shares_with": [], "open_files": None, "most_open_files": None,
     }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        ((799, 1000), None),
+        ((800, 1000), "has 800 of at most 1000 files and sockets open: `ulimit -n` raises the limit before a start"),
+        ((800, None), None),
+        ((None, 1000), None),
+    ],
+)
+def test_a_process_that_has_nearly_as_many_files_open_as_it_may_is_a_problem(
+    files: tuple[int | None, int | None], words: str | None
+) -> None:
+    node = health("afm_node@slave", open_files=files[0], most_open_files=files[1])
+    document = document_of(status_of(node), ["afm_node@slave"])
+    [facts] = document["nodes"]
+    assert (facts["problem"], document["ok"]) == (words, words is None)
+    assert health_cells(facts)["files"].plain == " of ".join(str(number) for number in files if number is not None)
 
 
 @pytest.mark.parametrize(
