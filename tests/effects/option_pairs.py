@@ -32,7 +32,6 @@ TO_A_RIG: Mapping[str, str] = {
     "topic hz": "topic hz afm/state",
     "link show": "link show",
     "link set": "link set forward.delay_s=0.01",
-    "link profile": "link profile",
     "link clear": "link clear",
     "link probe": "link probe --out {out}/made",
     "law by-line": "law by-line --scenario fig12 --duration 0",
