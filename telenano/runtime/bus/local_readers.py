@@ -25,6 +25,8 @@ from telenano.runtime.bus.open_files import listed_descriptors, open_descriptors
 fcntl = optional_module("fcntl")
 # Most connections of one process, and of all together, as at a relay.
 MOST_OF_ONE, MOST_IN_ALL = 512, 1024
+# As many are kept in any case, for a console and the process that serves the observers.
+_LEAST_IN_ALL = 16
 # Number of looks in a row at which a connection holds the same bytes, after which its reader counts as standing still.
 _STANDING_LOOKS = 4
 # Most processes that are reported at once.
@@ -73,7 +75,10 @@ class LocalReaders:
     def look(self) -> list[Closed]:
         """Close connections beyond the limits, and those whose reader stands still; return what to report of that.
 
-        The same is reported of a process once.
+        The connections of nodes of the site file are left alone. The same is reported of a process once.
+
+        Raises:
+            OSError: Which processes are nodes of the site file cannot be found out.
         """
         count = open_descriptors() if self.paths else None
         if count is None:
@@ -81,12 +86,12 @@ class LocalReaders:
         closed: list[Closed] = []
         # A connection was made or has ended since the last look.
         if count != self._open_files:
-            self._open_files = count
-            found = list(accepted(self.paths))
             holders = self._holders()
+            self._open_files = count
+            strangers = [each for each in accepted(self.paths) if each.process not in holders]
             before = self._standing
-            self._standing = {each: before.get(each, (0, 0)) for each in found if each.process not in holders}
-            closed = self._close_surplus(found)
+            self._standing = {each: before.get(each, (0, 0)) for each in strangers}
+            closed = self._close_surplus(strangers)
         closed += self._close_standing()
         news = [each for each in closed if (each.process, each.reason) not in self._reported]
         self._reported.update((each.process, each.reason) for each in news)
@@ -94,7 +99,7 @@ class LocalReaders:
 
     def _close_surplus(self, found: Collection[Accepted]) -> list[Closed]:
         room = self._room()
-        most = MOST_IN_ALL if room is None else min(MOST_IN_ALL, max(room, 0) // 2)
+        most = MOST_IN_ALL if room is None else min(MOST_IN_ALL, max(room // 2, _LEAST_IN_ALL))
         by_process: dict[int, list[Accepted]] = {}
         for each in found:
             by_process.setdefault(each.process, []).append(each)
@@ -154,10 +159,14 @@ def opened(descriptor: int) -> Iterator[sockets.socket | None]:
 
 
 def holders_of(locks: Iterable[Path]) -> set[int]:
-    """Return the processes that hold endpoints, from the first line of their lock files."""
+    """Return the processes that hold endpoints, from the first line of their lock files.
+
+    Raises:
+        OSError: A file cannot be read, so that its process would pass for a stranger.
+    """
     found = set()
     for lock in locks:
-        with contextlib.suppress(OSError, ValueError, IndexError):
+        with contextlib.suppress(FileNotFoundError, ValueError, IndexError):
             found.add(int(lock.read_text().split()[0]))
     return found
 

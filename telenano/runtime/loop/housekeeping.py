@@ -28,6 +28,7 @@ from telenano.wire.nodes import DEVICES
 
 # Errors by which the system refuses something.
 SYSTEM_ERRORS = (OSError, MemoryError, zmq.ZMQError)
+_ANSWER = "the answer to events of connections"
 _NO_NOTICES: Sequence[ConnectionEvent] = ()
 T = TypeVar("T")
 
@@ -89,20 +90,24 @@ class Housekeeping:
         try:
             result = task()
         except SYSTEM_ERRORS as error:
-            if what not in self._failed:
-                self._failed.add(what)
-                text = f"{what} failed ({described(error)}): its result is not known, and the loop goes on"
-                self._tell("warning", text, what, "not_known")
+            self._note_refused(what, error)
             return otherwise
-        if self._failed and what in self._failed:
-            self._failed.remove(what)
-            self._tell("info", f"{what} works again", what, "known")
+        if self._failed:
+            self._note_done(what)
         return result
 
     def process_events(self) -> None:
         """Process the events of connections if there may be some, and publish the notices."""
-        if notices := self.attempt("the answer to events of connections", self._bus.process_events, _NO_NOTICES):
+        # This is `attempt` without its calls, because each turn of a loop does it, and most have nothing to process.
+        try:
+            notices = self._bus.process_events()
+        except SYSTEM_ERRORS as error:
+            self._note_refused(_ANSWER, error)
+            return
+        if notices:
             self._publish(notices)
+        if self._failed:
+            self._note_done(_ANSWER)
 
     def look_after_connections(self) -> None:
         """Look at all connections, process their events, and publish the notices."""
@@ -176,6 +181,17 @@ class Housekeeping:
         if total > self._rejected_seen:
             self._limited_log.warning("rejected", f"refused: {last}", count=total - self._rejected_seen)
             self._rejected_seen = total
+
+    def _note_refused(self, what: str, error: BaseException) -> None:
+        if what not in self._failed:
+            self._failed.add(what)
+            text = f"{what} failed ({described(error)}): its result is not known, and the loop goes on"
+            self._tell("warning", text, what, "not_known")
+
+    def _note_done(self, what: str) -> None:
+        if what in self._failed:
+            self._failed.remove(what)
+            self._tell("info", f"{what} works again", what, "known")
 
     def _tell(self, level: str, text: str, what: str, state: str) -> None:
         # The event may be refused by the system as well.

@@ -173,13 +173,18 @@ def test_what_the_system_refuses_beside_the_loop_is_not_known_and_said_once(
 
 
 def test_the_table_has_all_that_a_loop_does_beside_its_turns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found, attempt = set[str](), Housekeeping.attempt
+    found, attempt, process_events = set[str](), Housekeeping.attempt, Housekeeping.process_events
 
     def noted(self: Housekeeping, what: str, task: Callable[[], Any], otherwise: Any) -> Any:
         found.add(what)
         return attempt(self, what, task, otherwise)
 
+    def processed(self: Housekeeping) -> None:
+        found.add("the answer to events of connections")
+        process_events(self)
+
     monkeypatch.setattr(Housekeeping, "attempt", noted)
+    monkeypatch.setattr(Housekeeping, "process_events", processed)
     rig = Kept(tmp_path)
     rig.run_until(2100 * MS)
     assert found == TASKS.keys()

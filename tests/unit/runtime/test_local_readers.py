@@ -164,6 +164,22 @@ def test_a_stranger_that_is_idle_because_nothing_is_sent_stays(served: Served) -
     assert (served.connections(reader), served.events) == (1, [])
 
 
+def test_nodes_keep_their_connections_however_few_files_may_be_open_and_also_where_they_are_not_known(
+    served: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lock = Path(served.path).parent / "recorder@master.lock"
+    node, leaking = (served.program(CONNECTS, served.path, count) for count in (60, 40))
+    lock.write_text(f"{node.pid}\nrecorder@master\n\n")
+    served.until(100)
+    monkeypatch.setattr("telenano.runtime.wiring.descriptors.descriptor_limit", lambda: 0)
+    with room_for(0), pytest.raises(OSError, match="Too many open files"):
+        served.look()
+    assert served.connections() == 100
+    served.look()
+    served.until(16, leaking)
+    assert served.connections(node) == 60
+
+
 def test_connections_are_not_taken_for_other_open_files(served: Served) -> None:
     assert served.connections() == 0
     with zmq.Context() as context, context.socket(zmq.PAIR) as other:
