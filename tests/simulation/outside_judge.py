@@ -15,7 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from device_judge import judge_chain, judge_forces, judge_places, judge_told
-from session_files import HAND, LATE_S, LINK, TIP, Break, Fields, Newest, Seen, Session
+from session_files import HAND, LATE_S, LINK, TIP, Break, Fields, Newest, Session
 
 # Validity of a command; hold of a tip without one, before it is withdrawn [s].
 DEADLINE_S, HOLD_S = 0.05, 0.2
