@@ -51,29 +51,31 @@ class EstopRequest(NamedTuple):
 
 
 def read_arguments(arguments: Sequence[str]) -> EstopRequest | None:
-    """Return the request in a command line; None for another command, or for words that typer should read or refuse."""
+    """Return the request in a command line; None for another command, or for words that typer should read or refuse.
+
+    An option that stands twice is no reason not to stop: with two values, all that they could mean is stopped.
+    """
     words = list(arguments)
     if words[:1] == ["session"]:
         words = words[1:]
     if words[:1] != ["estop"]:
         return None
     words = [part for word in words[1:] for part in (word.split("=", 1) if word.startswith("--") else [word])]
-    request = EstopRequest()
-    options = [word for word in words if word.startswith("--")]
+    widest = request = EstopRequest()
+    given: dict[str, str] = {}
     while words:
         option, value = words.pop(0), words[0] if words else ""
-        if options.count(option) > 1:
-            return None
         if option == "--json":
             request = request._replace(as_json=True)
             continue
+        is_other = given.setdefault(option, value) != value
         if option == "--target" and value:
-            request = request._replace(target=value)
+            request = request._replace(target=widest.target if is_other else value)
         elif option == "--site" and value in ("master", "slave"):
-            request = request._replace(site=value)
+            request = request._replace(site=widest.site if is_other else value)
         elif option == "--rig" and is_rig_name(value):
-            request = request._replace(rig=value)
-        elif option == "--site-file" and value:
+            request = request._replace(rig=widest.rig if is_other else value)
+        elif option == "--site-file" and value and not is_other:
             request = request._replace(site_file=site_file_named(Path(value)))
         else:
             return None

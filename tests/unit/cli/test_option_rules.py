@@ -38,7 +38,6 @@ def refused(line: str) -> str:
         ("up fig12 --out a --round-trip-ms 3 --out b", "--out a and --out b: --out is given twice"),
         ("simulate fig12 --no-report --no-report", "--no-report and --no-report: --no-report is given twice"),
         ("push --from 0,0 --to 9,9 --stop-on-loss --no-stop-on-loss", "--stop-on-loss is given twice"),
-        ("estop --target haptic_node --target afm_node", "--target haptic_node and --target afm_node"),
         ("topic list --rig a --rig b", "--rig a and --rig b"),
     ],
 )
