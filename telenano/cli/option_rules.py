@@ -10,8 +10,8 @@ its function is called:
     def simulate(...): ...
 
 For all commands alike but `estop`, which stops all the same, an option that is no list is given once, each key of
-`KEY=VALUE` is stated once, and a path is one that can be used. What an option asks for is void if it does not happen; an
-option that another one implies is not.
+`KEY=VALUE` is stated once, and a path is one that can be used. What an option asks for is void if it does not happen;
+an option that another one implies is not.
 """
 
 import re
