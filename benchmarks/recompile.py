@@ -22,7 +22,7 @@ STUDY = (
     *("--delay", "0,20", "--duration", "4.7", "--workers", "1", "--json", "--out"),
 )
 # Each edit: its name, the file, a text in it, and the text that replaces it.
-LAW = "telenano/extend/virtual_impedance.py"
+LAW = "telenano/laws/virtual_impedance.py"
 MODEL = "telenano/afm/contact/lennard_jones.py"
 FIGURES = "telenano_lab/studies/pages/figures.py"
 EDITS = (

@@ -10,10 +10,11 @@ from services.player.node import PlayerNode, PlaySettings
 from services.player.playback import Span
 from services.player.run import ReplayRequest, run_replay
 from telenano.cli.keyboard import RawKeyboard
+from telenano.cli.option_rules import Void, rules
 from telenano.cli.options import ExcludeOption, JsonOption, SameSessionOption, SiteFileOption, TopicsOption
 from telenano.cli.output import print_answer, report_errors, say
 from telenano.settings.included import DEFAULT_SITE_FILE
-from telenano.wire.errors import ConfigError, TelenanoError
+from telenano.wire.errors import TelenanoError
 
 _RATE_STEP = 1.25
 _KEYS_TEXT = "space pause · . step · e next event · ← → 1 s · + - rate · a b loop points · l loop · q end"
@@ -55,6 +56,7 @@ class PlayerKeyBindings:
         return ""
 
 
+@rules(Void("--duration", "which says where to end", beside="--end"))
 def replay(
     files: Annotated[list[Path], typer.Argument(metavar="FILE", help="Recordings (.mcap), the parts of one.")],
     nodes: Annotated[
@@ -90,8 +92,6 @@ def replay(
     and off, q end. The same by `telenano session set player.KEY=VALUE --target player`.
     """
     with report_errors(as_json):
-        if end is not None and duration is not None:
-            raise ConfigError("--end and --duration: give one of them")
         until = end if duration is None else start + duration
         request = ReplayRequest(
             files,

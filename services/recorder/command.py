@@ -10,6 +10,7 @@ from services.recorder.attach import run_record
 from services.recorder.node import RecorderNode
 from telenano.cli.keyboard import RawKeyboard
 from telenano.cli.model_options import SECONDS, Given, with_options
+from telenano.cli.option_rules import Void, rules
 from telenano.cli.options import ExcludeOption, JsonOption, SiteFileOption, TopicsOption
 from telenano.cli.output import fail, fail_incomplete, print_answer, report_errors, say
 from telenano.recording.provenance import configuration_files
@@ -46,6 +47,7 @@ _FILES = ("directory", "file_name", "sync_to_disk", "chunk_size_bytes")
 _OWN = (*_FILES, "topics", "exclude", "far", "fetch_kbit_per_s")
 
 
+@rules(Void("--quota-policy", "at which it acts", unless="--quota"))
 @with_options(RecorderConfig, _OWN, units=SECONDS)
 def record(
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Recording to make; an existing one is kept.")],

@@ -20,7 +20,8 @@ from services.viz_node.page_server import PageServer
 from services.viz_node.playback import RecordingPlayback
 from services.viz_node.recording_files import RecordingFiles
 from telenano.cli.model_options import validated, with_options
-from telenano.cli.options import SameSessionOption, SiteFileOption, refuse_unused
+from telenano.cli.option_rules import Void, rules
+from telenano.cli.options import SameSessionOption, SiteFileOption
 from telenano.cli.output import report_errors, say
 from telenano.launcher.restart_policy import RestartTracker
 from telenano.recording.multi_file import RecordingSource, open_recordings, recordings_of
@@ -52,6 +53,15 @@ class PageService(NamedTuple):
     signals: StopSignals
 
 
+@rules(
+    Void("*", "which serves no page", beside="--revoke", but="--rig"),
+    Void("*", "which serves no page", beside="--addresses"),
+    Void("*", "which serves no page", beside="--for", but="--role, --for-minutes, --rig"),
+    Void("--role, --for-minutes", "which names the person", unless="--for"),
+    Void("FILE|DIR", "which shows the recording that comes with telenano", beside="--demo"),
+    Void("--site-file, --rig", "which is shown instead of a rig", beside="--demo, FILE|DIR"),
+    Void("--same-session", "the files to join", unless="FILE|DIR"),
+)
 @with_options(ViewConfig)
 def view(
     given: dict[str, Any],
@@ -94,9 +104,6 @@ def view(
     `--for NAME` gives a person an address at the pages of the rig that --rig or TELENANO_RIG names.
     """
     with report_errors(False):
-        if person is None:
-            given_for = {"--role": role != "operator", "--for-minutes": minutes != _MINUTES}
-            refuse_unused(given_for, "not without --for, which names the person")
         if revoke is not None:
             People().revoke(revoke)
             typer.echo(f"the address of {revoke} is revoked")
@@ -113,8 +120,6 @@ def view(
             raise ConfigError(f"the view cannot be served: {reason}")
         config = validated(ViewConfig, given)
         tls, access = config.tls(), config.access()
-        if demo and files:
-            raise ConfigError("--demo shows the recording that comes with telenano: give no FILE beside it")
         files = [DEMO_RECORDING] if demo else [file for path in files or () for file in recordings_of(path)]
         recordings = open_recordings(files, same_session=same_session) if files else None
         if recordings is None:

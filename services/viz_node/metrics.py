@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from telenano.timing.loop_age import Part
+from telenano.wire.messages import PROCESS_FIGURES
 from telenano.wire.nodes import counts_for_process
 
 MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
@@ -33,13 +34,13 @@ NODE_METRICS = (
 )
 
 
-# Figures of a process: only one of its nodes reports them, so that a sum over nodes counts each process once.
-_OF_PROCESS = ("cpu_percent", "memory_bytes")
 _MATES = "shares_with"
 
 
 def metrics_text(nodes: Mapping[str, Mapping[str, Any]], now_ns: int, age: Sequence[Part] = ()) -> str:
     """Return the text, with one sample for each node and metric.
+
+    A figure of a process is given for one of its nodes only, so that a sum over nodes counts each process once.
 
     Args:
         nodes: The newest report by node, such as `afm_node@slave`, with `beat`, the time of sending [ns], and `state`.
@@ -51,7 +52,7 @@ def metrics_text(nodes: Mapping[str, Mapping[str, Any]], now_ns: int, age: Seque
         values = [
             (src, facts[metric.key])
             for src, facts in nodes.items()
-            if metric.key in facts and (metric.key not in _OF_PROCESS or counts_for_process(src, facts.get(_MATES)))
+            if metric.key in facts and (metric.key not in PROCESS_FIGURES or counts_for_process(src, facts.get(_MATES)))
         ]
         lines += _family(metric.name, metric.kind, metric.about, ((f'node="{_escaped(src)}"', v) for src, v in values))
     ages = ((f'node="{_escaped(src)}"', (now_ns - facts["beat"]) * 1e-9) for src, facts in nodes.items())

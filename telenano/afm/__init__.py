@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from telenano.afm.part import register_part as register_part
     from telenano.afm.safety import MODE_HOLD as MODE_HOLD
     from telenano.afm.safety import MODE_RETRACTING as MODE_RETRACTING
+    from telenano.afm.sample.surface import SHAPES as SHAPES
     from telenano.afm.sample.surface import height_over_middle as height_over_middle
     from telenano.afm.sim import simulated_afm as simulated_afm
     from telenano.afm.standalone_guard import TipGuard as TipGuard

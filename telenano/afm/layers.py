@@ -1,4 +1,4 @@
-"""Layers on a sample, such as particles, that the tip meets; packages bring them (entry points `telenano.layers`).
+"""Layers on a sample, such as particles, that the tip meets; packages bring them (entry points `telenano.samples`).
 
 A layer is a part around the tip over the surface (`part`). It has settings, the section of its name in
 `afm_node.sample`, and a state of its own. It may hold the tip up or push it aside, and change the measurement:
@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from telenano.afm.sample.surface import Surface
+from telenano.extend.samples import SampleModel
 
 
 class Ground(NamedTuple):
@@ -69,13 +70,18 @@ class Layer:
     changes: Callable[[Any], bool] = lambda truth: False
 
 
-def checked_layer(name: str, value: Any) -> Layer:
-    """Return the layer of an entry point; raise TypeError or ValueError, with the reason, if it is none.
+def checked_layer(name: str, value: Any) -> Layer | None:
+    """Return the layer of an entry point; None if it is a whole sample.
 
     `name` is the name of the entry point, which the layer must have too.
+
+    Raises:
+        TypeError, ValueError: It is neither, or has another name; the message says so.
     """
+    if isinstance(value, SampleModel):
+        return None
     if not isinstance(value, Layer):
-        raise TypeError(f"is a {type(value).__name__}, must be a Layer")
+        raise TypeError(f"is a {type(value).__name__}, must be a SampleModel or a Layer")
     if value.name != name:
         raise ValueError(f"is registered under another name than its own, {value.name}")
     return value

@@ -8,19 +8,25 @@ import inspect
 from collections.abc import Callable
 from typing import Any
 
+from telenano.afm.layers import Layer
 from telenano.afm.part import Part, register_part
 from telenano.extend.samples import PlantInputs, SampleModel
 
 Step = Callable[..., Any]
 
 
-def checked_sample(name: str, value: Any) -> SampleModel:
-    """Register and return the sample of an entry point; raise TypeError or ValueError, with the reason, if it is none.
+def checked_sample(name: str, value: Any) -> SampleModel | None:
+    """Register and return the sample of an entry point; None if it is a layer on a sample.
 
     `name` is the name of the entry point, which the sample must have too.
+
+    Raises:
+        TypeError, ValueError: It is neither, or cannot be used; the message says why.
     """
+    if isinstance(value, Layer):
+        return None
     if not isinstance(value, SampleModel):
-        raise TypeError(f"is a {type(value).__name__}, must be a SampleModel")
+        raise TypeError(f"is a {type(value).__name__}, must be a SampleModel or a Layer")
     if value.name != name:
         raise ValueError(f"is registered under another name than its own, {value.name}")
     if not isinstance(value.config().to_params(), value.params):  # type: ignore[attr-defined]

@@ -14,11 +14,9 @@ folder cannot be written, or if a source was changed while this process ran; a d
 
 import contextlib
 import hashlib
-import importlib.util
 import json
 import os
 import platform
-import re
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
@@ -28,7 +26,7 @@ from typing import Any
 
 from telenano.files.atomic_files import write_whole
 from telenano.files.regular_files import open_regular, read_regular
-from telenano.settings.plugins import Plugin, in_scenarios, installed
+from telenano.settings.plugins import Plugin, files_of, in_scenarios, installed, parts_of
 
 _LIBRARY = Path(__file__).resolve().parents[1]
 # File types on which a verdict depends: source, and the networks, instruments and schemas that come with it.
@@ -118,12 +116,15 @@ def judge_digest() -> str | None:
 
     A process whose source changed after it was loaded may run the old or the new code, so it keeps nothing.
     """
-    digests = {name: source_digest(place) for name, place in _places().items()}
-    if _is_changed() or None in digests.values():
+    own = source_digest(_LIBRARY)
+    if _is_changed() or own is None:
         return None
-    plugins = sorted((row.kind, row.name, row.target, row.problem) for row in _plugins())
+    try:
+        plugins = sorted((row.kind, row.name, row.target, row.problem, row.digest) for row in _plugins())
+    except OSError:
+        return None
     versions = {name: _version(name) for name in _PACKAGES}
-    facts = {"sources": digests, "plugins": plugins, "python": platform.python_version(), **versions}
+    facts = {"sources": own, "plugins": plugins, "python": platform.python_version(), **versions}
     return hashlib.sha256(json.dumps(facts, sort_keys=True).encode()).hexdigest()
 
 
@@ -132,25 +133,12 @@ def _plugins() -> list[Plugin]:
     return [*in_scenarios(), *installed("topics").values()]
 
 
-def _places() -> dict[str, Path]:
-    """Return by import name the path of the library's source, and of each package that a recording can name."""
-    places = {"telenano": _LIBRARY}
-    for name in sorted({re.split("[.:]", row.target)[0] for row in _plugins()} - set(places)):
-        # This finds a package without running it; a package that cannot be found cannot take part in a verdict.
-        spec = importlib.util.find_spec(name)
-        if spec is not None and spec.submodule_search_locations:
-            places[name] = Path(next(iter(spec.submodule_search_locations)))
-        elif spec is not None and spec.origin:
-            places[name] = Path(spec.origin)
-    return places
-
-
 def _is_changed() -> bool:
-    return any(source_changed(place, _LOADED_NS) for place in _places().values())
+    return source_changed([*_sources(_LIBRARY), *files_of(parts_of(_plugins()))], _LOADED_NS)
 
 
 def source_digest(folder: Path) -> str | None:
-    """Return a digest of names and contents of all sources in a folder, or of a module; None if none is readable."""
+    """Return a digest of names and contents of all sources in a folder; None if none is readable."""
     digest, found = hashlib.sha256(), sorted(_sources(folder))
     try:
         for path in found:
@@ -162,18 +150,16 @@ def source_digest(folder: Path) -> str | None:
     return digest.hexdigest() if found else None
 
 
-def source_changed(folder: Path, since_ns: int) -> bool:
-    """Return whether a source in a folder was written or replaced after a time [ns], or cannot be examined."""
+def source_changed(files: Iterable[Path], since_ns: int) -> bool:
+    """Return whether a file was written or replaced after a time [ns], or cannot be examined."""
     try:
-        stats = (path.stat() for path in _sources(folder))
+        stats = (path.stat() for path in files)
         return any(max(one.st_mtime_ns, one.st_ctime_ns) > since_ns for one in stats)
     except OSError:
         return True
 
 
 def _sources(folder: Path) -> Iterable[Path]:
-    if folder.is_file():
-        return [folder]
     return (path for path in folder.rglob("*") if path.suffix in _SOURCES and path.is_file())
 
 

@@ -14,7 +14,9 @@ from telenano.wire.printable import printable
 
 _DIGEST = re.compile(r"sha256:[0-9a-f]{1,64}")
 # kinds whose word in the table of known packages is not their singular
-_KNOWN_AS = {"devices": "driver", "hand_sections": "section"}
+_KNOWN_AS = {"devices": "driver"}
+# kinds that were merged with others: recordings of before have their entries under these
+_EARLIER = {"samples": "layers", "readers": "maps"}
 # greatest length of name and version of a package together; the longest names on an index have some 90 letters
 _MOST_LETTERS = 200
 
@@ -28,7 +30,7 @@ def recorded_plugins(recording: RecordingSource, document: Mapping[str, Any]) ->
     kept = recording.metadata.get("plugins", {})
     plugins = {}
     for kind, name in named_in(document):
-        if text := kept.get(f"{kind}.{name}"):
+        if text := kept.get(f"{kind}.{name}") or kept.get(f"{_EARLIER.get(kind)}.{name}"):
             words = text.split()
             if not _is_package(*words):
                 what = f"{recording.path}: metadata plugins: {kind}.{printable(name)}"

@@ -14,6 +14,9 @@ if TYPE_CHECKING:
     from telenano.cli.keyboard import RawKeyboard as RawKeyboard
     from telenano.cli.model_options import validated as validated
     from telenano.cli.model_options import with_options as with_options
+    from telenano.cli.option_rules import Keys as Keys
+    from telenano.cli.option_rules import Void as Void
+    from telenano.cli.option_rules import rules as rules
     from telenano.cli.options import DurationOption as DurationOption
     from telenano.cli.options import ExcludeOption as ExcludeOption
     from telenano.cli.options import FormatOption as FormatOption
@@ -25,7 +28,6 @@ if TYPE_CHECKING:
     from telenano.cli.options import TableOption as TableOption
     from telenano.cli.options import TopicsOption as TopicsOption
     from telenano.cli.options import command_group as command_group
-    from telenano.cli.options import refuse_unused as refuse_unused
     from telenano.cli.options import table_formats as table_formats
     from telenano.cli.output import console as console
     from telenano.cli.output import fail_incomplete as fail_incomplete

@@ -32,37 +32,50 @@ from telenano.wire.nodes import DEVICES, RECORDER
 from telenano.wire.printable import one_line
 
 
+def _print_json(document: Mapping[str, Any]) -> None:
+    _print(json.dumps(document))
+
+
 class EstopRequest(NamedTuple):
-    """The options of the command; site '' stands for a rig of one machine, rig '' for every rig of this user."""
+    """The options of the command; site '' stands for a rig of one machine, rig '' for every rig of this user.
+
+    `answer` prints the document of the answers.
+    """
 
     target: str = "*"
     site: str = ""
     site_file: Path | None = None
     as_json: bool = False
     rig: str = ""
+    answer: Callable[[Mapping[str, Any]], None] = _print_json
 
 
 def read_arguments(arguments: Sequence[str]) -> EstopRequest | None:
-    """Return the request in a command line; None for another command, or for words that typer should read."""
+    """Return the request in a command line; None for another command, or for words that typer should read or refuse.
+
+    An option that stands twice is no reason not to stop: with two values, all that they could mean is stopped.
+    """
     words = list(arguments)
     if words[:1] == ["session"]:
         words = words[1:]
     if words[:1] != ["estop"]:
         return None
     words = [part for word in words[1:] for part in (word.split("=", 1) if word.startswith("--") else [word])]
-    request = EstopRequest()
+    widest = request = EstopRequest()
+    given: dict[str, str] = {}
     while words:
         option, value = words.pop(0), words[0] if words else ""
         if option == "--json":
             request = request._replace(as_json=True)
             continue
+        is_other = given.setdefault(option, value) != value
         if option == "--target" and value:
-            request = request._replace(target=value)
+            request = request._replace(target=widest.target if is_other else value)
         elif option == "--site" and value in ("master", "slave"):
-            request = request._replace(site=value)
+            request = request._replace(site=widest.site if is_other else value)
         elif option == "--rig" and is_rig_name(value):
-            request = request._replace(rig=value)
-        elif option == "--site-file" and value:
+            request = request._replace(rig=widest.rig if is_other else value)
+        elif option == "--site-file" and value and not is_other:
             request = request._replace(site_file=site_file_named(Path(value)))
         else:
             return None
@@ -82,7 +95,7 @@ def run_estop(request: EstopRequest) -> int:
         return EXIT_FAILED
     if all_acknowledged(answers):
         if request.as_json:
-            _print(json.dumps(_document(request, answers)))
+            request.answer(_document(request, answers))
         return 0
     _fail(request, unacknowledged(answers) if answers else "no device was asked: the target means none", answers)
     return EXIT_FAILED
@@ -102,7 +115,7 @@ def _fail(request: EstopRequest, text: str, answers: Mapping[str, Answer]) -> No
             sys.stderr.write(f"telenano: {one_line(line)}\n")
     if request.as_json:
         refused = "; ".join(f"{a.node} refused: {a.text}" for a in answers.values() if a.kind == "refused")
-        _print(json.dumps({**(_document(request, answers) if answers else {}), "error": text or refused}))
+        request.answer({**(_document(request, answers) if answers else {}), "error": text or refused})
 
 
 def _print(line: str) -> None:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, NamedTuple
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from telenano.cli.path_options import check_paths
+from telenano.cli.option_rules import check_options
 from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE
 from telenano.settings import plugins
 from telenano.settings.known_packages import KNOWN_PACKAGES, OWN_PACKAGES
@@ -196,7 +196,7 @@ def _plain(command: Any, path: tuple[str, ...]) -> Any:
     for parameter in command.params:
         if parameter.metavar is None and getattr(parameter, "min", None) is not None:
             parameter.metavar = "N"
-    check_paths(command)
+    check_options(command)
     if any(parameter.name == "site_file" for parameter in command.params):
         # A command that takes the address book of a rig takes the name of a rig as well.
         command.params.append(_rig_option())

@@ -10,7 +10,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from telenano.cli.tables import LEVEL_STYLES, health_cells
+from telenano.cli.tables import LEVEL_STYLES, figures
 from telenano.launcher.rig_node import Phase, RigNode
 from telenano.launcher.rig_status import node_facts
 from telenano.launcher.session import SessionNode
@@ -19,7 +19,6 @@ _REFRESH_TICKS = 5
 # Interval of the lines that name the nodes still awaited [ns].
 _REMIND_NS = 5_000_000_000
 _REPORTS_SHOWN = 6
-_COLUMNS = ("state", "rate Hz", "late p99 ms", "input age ms", "lost", "refused", "CPU %", "MB")
 
 
 class LineView(AbstractContextManager["LineView"]):
@@ -120,13 +119,13 @@ def rig_picture(rig: RigNode) -> Group:
 
 def nodes_table(rig: RigNode) -> Table:
     """Draw the table of nodes from their last health messages; restarts are known for this launcher's nodes only."""
-    table = Table("node", *_COLUMNS, "restarts")
+    columns = {heading: figure for heading, figure in figures().items() if figure.is_live}
+    table = Table("node", *columns, "restarts")
     for column in table.columns[2:]:
         column.justify = "right"
     restarts = rig.supervisor.restarts()
     for node in rig.nodes:
-        health = rig.health.get(node)
-        cells_of_node = health_cells(node_facts(node, health, None)) if health else {"state": Text("-", "dim")}
-        cells = [cells_of_node.get(column, Text("")) for column in _COLUMNS]
+        facts = node_facts(node, rig.health.get(node), None)
+        cells = [figure.cell(facts) if facts["heard"] else Text("-", "dim") for figure in columns.values()]
         table.add_row(node, *cells, Text(str(restarts.get(node, "-"))))
     return table

@@ -1,6 +1,5 @@
 """Options and arguments that several commands share, and a function that makes a group of commands."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -177,14 +176,3 @@ def command_group() -> typer.Typer:
         # markup would swallow the units in brackets
         rich_markup_mode=None,
     )
-
-
-def refuse_unused(options: Mapping[str, object], reason: str) -> None:
-    """Raise ConfigError if options were given that the command does not use, naming them and the reason.
-
-    Args:
-        options: The value of each option by its name; false if it was not given.
-        reason: The reason why they are not used, such as `without --overlay no file is read`.
-    """
-    if names := [name for name, value in options.items() if value]:
-        raise ConfigError(f"{', '.join(names)}: {reason}")

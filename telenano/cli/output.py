@@ -212,9 +212,40 @@ def results_in(out: Path, *, at_once: bool = False) -> Iterator[Path]:
         yield folder
 
 
+# The documents that a command with --json has made so far; None for one that prints each at once.
+_documents: list[Any] | None = None
+
+
+@contextlib.contextmanager
+def one_object() -> Iterator[None]:
+    """Print one JSON object on standard output, and everything else that a command prints on standard error.
+
+    A document that follows, such as that of an error after a result, adds its keys. A command that ends with an
+    exception has no object: whoever reports the exception prints one.
+    """
+    global _documents
+    ended, before = None, _documents
+    documents = _documents = []
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            yield
+    except (typer.Exit, SystemExit) as error:
+        ended = error
+    finally:
+        _documents = before
+    if documents:
+        merged = {key: value for one in documents[1:] for key, value in one.items()}
+        print_json({**documents[0], **merged} if merged else documents[0])
+    if ended is not None:
+        raise ended
+
+
 def print_json(document: Any) -> None:
     """Print one JSON document on a line."""
-    typer.echo(json.dumps(finite(document), allow_nan=False))
+    if _documents is not None:
+        _documents.append(document)
+    else:
+        typer.echo(json.dumps(finite(document), allow_nan=False))
 
 
 def console() -> Console:

@@ -7,9 +7,6 @@ that it reads with `open_regular`, and they may be gone by then.
 import errno
 import os
 import stat
-from collections.abc import Callable
-from functools import partial
-from pathlib import Path
 from typing import Any
 
 from telenano.wire.errors import ConfigError, TelenanoError
@@ -20,22 +17,11 @@ _FOLDERS = ("DIR", "FOLDER")
 _NO_WAY = (errno.ELOOP, errno.ENAMETOOLONG, errno.ENOTDIR, errno.EINVAL)
 
 
-def check_paths(command: Any) -> None:
-    """Make a command of typer refuse unusable paths, in all of its options and arguments that take paths."""
-    for parameter in command.params:
-        if parameter.type_descriptor.annotation in (Path, list[Path]):
-            parameter.consume_value = partial(_checked, parameter.consume_value, parameter)
-
-
-def _checked(consume: Callable[..., Any], parameter: Any, *args: Any) -> Any:
-    """Return the value that a person gave for a parameter, with its source; TelenanoError for an unusable path."""
-    value, source = consume(*args)
-    name = parameter.opts[0] if parameter.param_type_name == "option" else parameter.metavar or parameter.name
-    for text in value if isinstance(value, list | tuple) else [value]:
-        if isinstance(text, str):
-            is_read = parameter.param_type_name == "argument"
-            _check(name, text, is_folder=parameter.metavar in _FOLDERS, is_read=is_read)
-    return value, source
+def check_path(parameter: Any, text: str) -> None:
+    """Raise TelenanoError if the text of an option or argument of typer that takes a path is unusable as one."""
+    is_option = parameter.param_type_name == "option"
+    name = parameter.opts[0] if is_option else parameter.metavar or parameter.name
+    _check(name, text, is_folder=parameter.metavar in _FOLDERS, is_read=not is_option)
 
 
 def _check(name: str, text: str, *, is_folder: bool, is_read: bool) -> None:

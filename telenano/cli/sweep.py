@@ -2,15 +2,17 @@
 
 import itertools
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+import typer
 from pydantic import BaseModel
 
 from telenano.cli.child_session import run_session
 from telenano.cli.lazy_commands import ALIASES
 from telenano.cli.model_options import validated
+from telenano.cli.option_rules import Keys, Void
 from telenano.wire.errors import ConfigError, RigError, probably_meant
 
 R = TypeVar("R", bound=BaseModel)
@@ -24,6 +26,16 @@ SEED = "seed"
 _SEEDS = ("delay_node.seed", "haptic_node.disturbances.seed", "afm_node.disturbances.seed")
 _SEED_OPTION = "--seed"
 _MOST_SESSIONS = 100
+# What the options of a session state, alone or in a sweep, and which of them are for a sweep alone.
+SESSION_RULES = (
+    Keys("--duration", "duration_s"),
+    Keys("--instrument", "instrument"),
+    Keys("--round-trip-ms", f"{_DELAY}, delay_node.forward.delay_s, delay_node.backward.delay_s"),
+    Keys("--seeds", ", ".join((SEED, *_SEEDS))),
+    Keys("--sweep"),
+    Void("--table", "whose sessions it compares", unless="--sweep, --seeds"),
+    Void("--overwrite", "the folder that it is about; without --out a session has a new one", unless="--out"),
+)
 # Options of the sweep itself, each with a value, which are not passed on to the sessions.
 _OWN = ("--sweep", "--seeds", "--table", "--out")
 
@@ -67,13 +79,15 @@ def points_of(sweeps: Sequence[str], seed_option: str = "") -> list[Point]:
 def without_sweep(words: Sequence[str], command: str = "up") -> list[str]:
     """Return the arguments of a command line that belong to each session of its sweep."""
     kept, skip = [], False
+    # The sessions of --no-report have no figure; that which compares them has.
+    own = (*_OWN, "--format", "--style") if "--no-report" in words else _OWN
     names = {command, *(alias for alias, meant in ALIASES.items() if meant == command)}
     begin = next(place for place, word in enumerate(words) if word in names)
     for word in words[begin + 1 :]:
         name, sign, _ = word.partition("=")
-        if not skip and word != "--json" and name not in _OWN:
+        if not skip and word != "--json" and name not in own:
             kept.append(word)
-        skip = not skip and name in _OWN and not sign
+        skip = not skip and name in own and not sign
     return kept
 
 
@@ -113,7 +127,8 @@ def run_sweep(
     points: Sequence[Point],
     arguments: Sequence[str],
     out: Path,
-    show: Callable[[str], None],
+    *,
+    quiet: bool = False,
     name: str = "up",
 ) -> list[Path]:
     """Run the sessions one after the other, each by its own command (`telenano up`); return their folders.
@@ -123,7 +138,8 @@ def run_sweep(
     """
     folders = []
     for number, point in enumerate(points, start=1):
-        show(f"{number}/{len(points)}: {point.name}")
+        if not quiet:
+            typer.echo(f"{number}/{len(points)}: {point.name}", err=True)
         folder = out / point.name
         command = [sys.executable, "-m", "telenano", name, *arguments, *point.options, "--out", str(folder), "--json"]
         # An incomplete recording is no failure: its summary says so, and the table shows a hold without data.

@@ -1,7 +1,8 @@
 """Tables of results on a terminal."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import cache, partial
+from typing import Any, NamedTuple
 
 from rich.console import Group, RenderableType
 from rich.table import Column, Table
@@ -28,31 +29,74 @@ def counts_text(counts: Mapping[str, int]) -> str:
 _SHARED = "shared"
 
 
-def health_cells(facts: Mapping[str, Any]) -> dict[str, Text]:
-    """Draw the health of a node, given by `node_facts`, as a cell for each heading."""
-    state = "replay" if facts["replay"] else facts["state"]
+class Figure(NamedTuple):
+    """A column of the tables of nodes.
+
+    Attributes:
+        cell: Function from the facts of a node, which `node_facts` returns, to its cell.
+        is_live: Whether the table of `telenano up` has the column as well, and not only that of `telenano status`.
+        is_text: Whether the cell is a text, which is aligned to the left.
+    """
+
+    cell: Callable[[Mapping[str, Any]], Text]
+    is_live: bool = True
+    is_text: bool = False
+
+
+@cache
+def figures() -> dict[str, Figure]:
+    """Return the columns of the tables of nodes by their headings, from left to right.
+
+    A figure of the process has a column if its field of node/health has a heading.
+    """
     # Imported here, because most tables do not need it.
+    from telenano.wire.messages import PROCESS_FIGURES
+
+    return {
+        "state": Figure(_state, is_text=True),
+        "up": Figure(_time_up, is_live=False),
+        "rate Hz": Figure(lambda facts: Text(f"{facts['rate_hz']:.1f}")),
+        "late p99 ms": Figure(lambda facts: _in_ms(facts["lateness_p99_s"], 3)),
+        "overruns": Figure(lambda facts: _alarming(facts["overruns"], str(facts["overruns"])), is_live=False),
+        "input age ms": Figure(lambda facts: _in_ms(facts["oldest_input_s"], 1)),
+        "lost": Figure(lambda facts: _alarming(facts["lost"], str(facts["lost"]))),
+        "refused": Figure(_refused, is_text=True),
+        **{heading: Figure(partial(_of_process, name)) for name, heading in PROCESS_FIGURES.items()},
+        "granted": Figure(_granted, is_live=False, is_text=True),
+    }
+
+
+def _state(facts: Mapping[str, Any]) -> Text:
+    state = "replay" if facts["replay"] else facts["state"]
+    return Text(state, _STATE_STYLES.get(state, "red"))
+
+
+def _time_up(facts: Mapping[str, Any]) -> Text:
+    minutes, seconds = divmod(round(facts["uptime_s"]), 60)
+    return Text(f"{minutes // 60}:{minutes % 60:02}:{seconds:02}")
+
+
+def _in_ms(value_s: float | None, digits: int) -> Text:
+    return Text("-" if value_s is None else f"{value_s * 1e3:.{digits}f}")
+
+
+def _refused(facts: Mapping[str, Any]) -> Text:
     from telenano.wire.messages import SUPERSEDED
 
-    late_s, age_s = facts["lateness_p99_s"], facts["oldest_input_s"]
-    minutes, seconds = divmod(round(facts["uptime_s"]), 60)
-    # The figures of a process are shown at one of its nodes.
-    counts = counts_for_process(facts["node"], facts["shares_with"])
-    style = "" if counts else "dim"
+    return _alarming(len(facts["refused"].keys() - {SUPERSEDED}), counts_text(facts["refused"]))
+
+
+def _of_process(name: str, facts: Mapping[str, Any]) -> Text:
+    """Draw a figure of the process at one of its nodes, with its limit `most_NAME` if it has one; bytes are in MB."""
+    if not counts_for_process(facts["node"], facts["shares_with"]):
+        return Text(_SHARED, "dim")
+    values = [facts[key] for key in (name, f"most_{name}") if facts.get(key) is not None]
+    return Text(" of ".join(f"{value / 1e6 if name.endswith('_bytes') else value:.0f}" for value in values) or "-")
+
+
+def _granted(facts: Mapping[str, Any]) -> Text:
     granted = [name for name, key in (("fifo", "realtime"), ("memory", "memory_locked")) if facts[key]]
-    return {
-        "state": Text(state, _STATE_STYLES.get(state, "red")),
-        "up": Text(f"{minutes // 60}:{minutes % 60:02}:{seconds:02}"),
-        "rate Hz": Text(f"{facts['rate_hz']:.1f}"),
-        "late p99 ms": Text("-" if late_s is None else f"{late_s * 1e3:.3f}"),
-        "overruns": _alarming(facts["overruns"], str(facts["overruns"])),
-        "input age ms": Text("-" if age_s is None else f"{age_s * 1e3:.1f}"),
-        "lost": _alarming(facts["lost"], str(facts["lost"])),
-        "refused": _alarming(len(facts["refused"].keys() - {SUPERSEDED}), counts_text(facts["refused"])),
-        "CPU %": Text(f"{facts['cpu_percent']:.0f}" if counts else _SHARED, style),
-        "MB": Text(f"{facts['memory_bytes'] / 1e6:.0f}" if counts else _SHARED, style),
-        "granted": Text(", ".join(granted) or "nothing"),
-    }
+    return Text(", ".join(granted) or "nothing")
 
 
 def _alarming(count: int, text: str) -> Text:

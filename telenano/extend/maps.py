@@ -1,6 +1,6 @@
 """Formats of recorded maps under the tip, for packages: extent of a map, the step over it, and units of its values.
 
-NPZ = MapFormat(MapParams, start, step, span_of, read_over_map)     # entry `npz` of `telenano.maps`
+NPZ = FileReader(map=MapFormat(MapParams, start, step, span_of, read))     # entry `npz` of `telenano.readers`
 """
 
 import math

@@ -2,7 +2,7 @@
 
 import contextlib
 import os
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -113,37 +113,6 @@ class UpRequest(SessionRequest):
         default=False, description="A person stands by to retract the tip of an AFM controller without a guard"
     )
     page: bool = Field(default=False, description="Serve the operator's page")
-
-    def check(self) -> None:
-        """Reject options that would have no effect; ConfigError names them with the reason."""
-        changes = {
-            "--set": bool(self.settings),
-            "--instrument": self.instrument is not None,
-            "--round-trip-ms": self.round_trip_ms is not None,
-            "--without": bool(self.without),
-            "--allow-replay": self.allow_replay,
-            "--attended": self.attended,
-        }
-        if self.attach:
-            _reject(changes, "--attach starts no node: give this option where the nodes are started")
-            _reject(
-                {"--site slave": self.site == "slave"}, "the session is conducted at the master: give --attach there"
-            )
-        elif self.site == "slave":
-            _reject({"--round-trip-ms": self.round_trip_ms is not None}, "the link runs at the master: give it there")
-            conducts = {"--duration": self.duration_s is not None, "--wait": self.wait_s is not None}
-            _reject(conducts, "the session is conducted at the master: give it there")
-        elif self.site is None:
-            _reject(
-                {"--wait": self.wait_s is not None},
-                "it acts only with --attach or --site, which wait for nodes that run elsewhere",
-            )
-
-
-def _reject(given: Mapping[str, bool], reason: str) -> None:
-    options = [option for option, is_given in given.items() if is_given]
-    if options:
-        raise ConfigError(f"{', '.join(options)}: {reason}")
 
 
 @dataclass(frozen=True)
@@ -320,7 +289,6 @@ def make_plan(request: UpRequest, default_out: Path) -> Plan:
 
     `default_out` is the folder of the session if the request names none.
     """
-    request.check()
     named = request.site_file or (DEFAULT_SITE_FILE if request.site is None else TWO_SITES_FILE)
     # `Path.resolve` raises RuntimeError for a loop of symbolic links; `realpath` does not.
     site_file = Path(os.path.realpath(named)) if named.exists() else named.absolute()

@@ -174,8 +174,12 @@ class NodeProcesses:
             return ""
         if log.fault:
             return log.fault
-        size = os.fstat(log.descriptor).st_size
-        lines = os.pread(log.descriptor, _TAIL_BYTES, max(0, size - _TAIL_BYTES)).decode(errors="replace").splitlines()
+        try:
+            size = os.fstat(log.descriptor).st_size
+            tail = os.pread(log.descriptor, _TAIL_BYTES, max(0, size - _TAIL_BYTES))
+        except OSError as error:
+            return f"its log {self.log_path(node)} cannot be read: {error.strerror}"
+        lines = tail.decode(errors="replace").splitlines()
         return "\n".join(_readable(line) for line in lines[-_TAIL_LINES:])
 
     def stop(self, observer: StopObserver = _NO_OBSERVER) -> None:

@@ -28,7 +28,10 @@ M = TypeVar("M", bound=Message)
 # The topics of the loop (STAGES) serve to split the age of the loop into its parts.
 NEEDED = ("node/health", "link/status", "law/status", "haptic/state", "session/event", "link/delay", *STAGES)
 _LINK = "delay_node@master"
-_HEALTH_FACTS = ("state", "uptime_s", "rate_hz", "overruns", "cpu_percent", "memory_bytes", "realtime", "memory_locked")
+# Fields of node/health that are no facts of `node_facts`: the header, and what it gives as sums or by another name.
+_NO_FACTS = (*Message.__struct_fields__, "inputs", "rejected")
+# Share of the files that a process may open from which on it is warned of.
+_NEARLY_ALL = 0.8
 _LAW_FACTS = ("src", "law", "switching", "passive", "heard", "silence_s", "net_valid", "net_energy_j")
 _HAND_FACTS = ("src", "mode", "estop", "limited", "session_s")
 _AFM_FACTS = ("src", "mode", "limited", "in_contact", "meniscus")
@@ -99,6 +102,8 @@ def problems_of(status: RigStatus, expected: Sequence[str]) -> dict[str, str]:
             problems[node] = ", ".join(
                 f"has received nothing from {peer} for {lasts_s:.1f} s" for peer, lasts_s in deaf_s.items()
             )
+        elif fault := open_files_fault(health[node]):
+            problems[node] = fault
         elif health[node].state == "stopping":
             problems[node] = "is stopping"
         elif stalled := stalled_inputs(status.first[node], health[node]):
@@ -120,6 +125,14 @@ def recording_fault(status: RigStatus, health: NodeHealth) -> str:
     if health.state == "safe":
         return "records nothing: `telenano session set record.status=true --target recorder` shows why"
     return ""
+
+
+def open_files_fault(health: NodeHealth) -> str:
+    """Return that a process has nearly as many files open as it may; empty if it has fewer, or that is not known."""
+    count, most = health.open_files, health.most_open_files
+    if not count or not most or count < _NEARLY_ALL * most:
+        return ""
+    return f"has {count} of at most {most} files and sockets open: `ulimit -n` raises the limit before a start"
 
 
 def stalled_inputs(first: NodeHealth, newest: NodeHealth) -> list[str]:
@@ -171,14 +184,16 @@ def _facts(message: Message, names: Iterable[str]) -> dict[str, Any]:
 
 
 def node_facts(node: str, health: NodeHealth | None, problem: str | None) -> dict[str, Any]:
-    """Return the health of a node as values for JSON; only name and problem, with `heard` false, if there is none."""
+    """Return the health of a node as values for JSON; only name and problem, with `heard` false, if there is none.
+
+    It has every field of node/health, and the counts of the inputs as sums.
+    """
     facts: dict[str, Any] = {"node": node, "heard": health is not None, "problem": problem}
     if health is None:
         return facts
     return {
         **facts,
-        **_facts(health, (*_HEALTH_FACTS, "replay")),
-        "period_s": health.period_s,
+        **_facts(health, (name for name in health.__struct_fields__ if name not in _NO_FACTS)),
         "lateness_p99_s": health.lateness_p99_s if health.period_s else None,
         "oldest_input_s": oldest_input_s(health),
         "received": total(row.received for row in health.inputs),

@@ -3,11 +3,17 @@
 Their settings and the table of laws are in `telenano.sections`.
 """
 
+from typing import TYPE_CHECKING
+
 from telenano.lazy_exports import face
 
-__getattr__, __dir__ = face(
-    __name__,
-    {
-        "telenano.sections": ("ControllerConfig", "LAWS", "OWN_LAWS", "changed_config", "late_periods"),
-    },
-)
+if TYPE_CHECKING:
+    from telenano.laws.virtual_impedance import ImpedanceState as ImpedanceState
+    from telenano.laws.virtual_impedance import VirtualImpedanceParams as VirtualImpedanceParams
+else:
+    __getattr__, __dir__ = face(
+        __name__,
+        {
+            "telenano.sections": ("ControllerConfig", "LAWS", "OWN_LAWS", "changed_config", "late_periods"),
+        },
+    )

@@ -10,8 +10,14 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
-from telenano.settings.plugins import digest_of_all, in_lockstep, package_files, with_steps
-from telenano.settings.plugins import modules as package_modules
+from telenano.settings.plugins import (
+    digest_of_all,
+    digest_of_parts,
+    files_of,
+    in_lockstep,
+    parts_of,
+    parts_of_module,
+)
 
 _ROOT = Path(__file__).resolve().parents[2]
 # Folders and files with the steps, and with everything else on which the result of a study depends.
@@ -29,7 +35,7 @@ SOURCES = (
     ),
     # The verdict.
     *("telenano/analysis/modes.py", "telenano/analysis/verdict_thresholds.py", "telenano/analysis/read_out.py"),
-    *("telenano/analysis/motion_fit.py", "telenano/analysis/envelope.py", "telenano/analysis/findings.py"),
+    *("telenano/analysis/findings.py", "telenano/analysis/stated_noise.py"),
     *("telenano/analysis/decision.py", "telenano/analysis/verdict_sentences.py", "telenano/analysis/verdict.py"),
     # Deadlines and the step of a reported delay, which are compiled into the loop.
     *("telenano/wire/topics.py", "telenano/wire/messages.py", "telenano/timing/freshness.py"),
@@ -51,22 +57,19 @@ def source_digest(root: Path = _ROOT) -> str:
     return digest.hexdigest()[:16]
 
 
-def stamp(module: str) -> str:
-    """Return the cache stamp of a module's code: the name of the cache folder, and a digest of packages with steps.
+def further_digest(modules: Iterable[str]) -> str | None:
+    """Return a digest of what the code of these modules is made of beyond the sources of `source_digest`.
 
-    The digest is added only for modules of such packages.
+    Returns:
+        The digest of the parts of installed packages that the modules belong to; it is empty if `source_digest` covers
+        all modules. None if the code cannot be kept: a module belongs to neither, or a source was edited after this
+        process started, so that the imported code may be older than its file.
     """
-    return cache_folder().name + (digest_of_all(with_steps()) if _has_own_steps(module) else "")
-
-
-def digest_covers(module: str, classes: Iterable[str]) -> bool:
-    """Return whether the stamp of a module covers its code and the classes, given by module, that the code uses.
-
-    It does not if a module belongs neither to SOURCES nor to an installed package with steps, or if a source was edited
-    after this process started: the imported code may then be older than its file.
-    """
-    modules = _known_modules() + (package_modules(with_steps()) if _has_own_steps(module) else ())
-    return all((name + ".").startswith(modules) for name in (module, *classes)) and not _edited_since(_STARTED_S)
+    others = sorted(module for module in modules if not (module + ".").startswith(_known_modules()))
+    if not all(parts := [parts_of_module(module) for module in others]):
+        return None
+    further = tuple(sorted({part for found in parts for part in found}))
+    return None if _edited_since(_STARTED_S, further) else digest_of_parts(further) if further else ""
 
 
 def cache_directory() -> Path:
@@ -97,12 +100,9 @@ def remove_unused(directory: Path) -> None:
 
 @cache
 def _known_modules() -> tuple[str, ...]:
-    own = (source.removesuffix(".py").replace("/", ".") + "." for source in SOURCES)
-    return (*own, *package_modules(in_lockstep()))
-
-
-def _has_own_steps(module: str) -> bool:
-    return (module + ".").startswith(package_modules(with_steps()))
+    """Return what `source_digest` covers, as prefixes of names of modules with a dot at their ends."""
+    own = (source.removesuffix(".py").replace("/", ".") for source in SOURCES)
+    return tuple(f"{name}." for name in (*own, *parts_of(in_lockstep())))
 
 
 def _source_files(root: Path) -> Iterator[Path]:
@@ -114,12 +114,12 @@ def _source_files(root: Path) -> Iterator[Path]:
 
 @cache
 def _watched() -> tuple[Path, ...]:
-    return (*_source_files(_ROOT), *package_files([*in_lockstep(), *with_steps()]))
+    return (*_source_files(_ROOT), *files_of(parts_of(in_lockstep())))
 
 
-def _edited_since(time_s: float) -> bool:
+def _edited_since(time_s: float, further: tuple[str, ...]) -> bool:
     try:
         # Use the time of the last status change, which copying a file with its times does not set back.
-        return any(path.stat().st_ctime > time_s for path in _watched())
+        return any(path.stat().st_ctime > time_s for path in (*_watched(), *files_of(further)))
     except OSError:
         return True

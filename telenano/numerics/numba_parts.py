@@ -19,7 +19,7 @@ from numba.core.registry import CPUDispatcher
 from numba.extending import lower_builtin, type_callable
 
 from telenano.files.regular_files import is_own
-from telenano.numerics.digests import cache_folder, digest_covers, stamp
+from telenano.numerics.digests import cache_folder, further_digest
 from telenano.signals import interrupts
 
 _MAIN_THREAD = main_thread().ident
@@ -38,13 +38,12 @@ class _Locator(UserProvidedCacheLocator):
 
     def __init__(self, function: Any, source: str) -> None:
         super().__init__(function, source)
-        self._stamp = stamp(function.__module__)
 
     def get_cache_path(self) -> str:
         return str(cache_folder() / self.get_suitable_cache_subpath(self._py_file))
 
     def get_source_stamp(self) -> str:
-        return self._stamp
+        return cache_folder().name
 
     @classmethod
     def from_function(cls, function: Any, source: str) -> "_Locator":
@@ -109,11 +108,14 @@ class StepCache(FunctionCache):
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
         # Code with bounds checking (NUMBA_BOUNDSCHECK) needs its own entry.
-        return (*super()._index_key(sig, codegen), self._python_calls, vars(config)["BOUNDSCHECK"])
+        own = (self._python_calls, vars(config)["BOUNDSCHECK"], self._further_digest(sig))
+        return (*super()._index_key(sig, codegen), *own)
 
     def _can_be_kept(self, signature: Any) -> bool:
-        classes = {kind.__module__ for kind in _classes(signature)}
-        return digest_covers(self._py_func.__module__, classes) and _is_safe()
+        return self._further_digest(signature) is not None and _is_safe()
+
+    def _further_digest(self, signature: Any) -> str | None:
+        return further_digest({self._py_func.__module__, *(kind.__module__ for kind in _classes(signature))})
 
 
 def _classes(part: Any) -> Iterator[type]:

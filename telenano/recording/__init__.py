@@ -8,6 +8,7 @@ if TYPE_CHECKING:
     from telenano.recording.arrays import last_force_profile as last_force_profile
     from telenano.recording.channel_filter import Selection as Selection
     from telenano.recording.column_table import ColumnTable as ColumnTable
+    from telenano.recording.export import IMAGE_ENTRY as IMAGE_ENTRY
     from telenano.recording.export import export_recording as export_recording
     from telenano.recording.export import viewer_json as viewer_json
     from telenano.recording.export import write_mcap as write_mcap

@@ -1,10 +1,10 @@
 """Selection of channels of a recording, or of the bus, by patterns of names."""
 
 import re
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 from telenano.wire.errors import ConfigError, RecordingError, known_names
 from telenano.wire.nodes import name_of
@@ -12,6 +12,7 @@ from telenano.wire.patterns import fault_of_pattern, matches
 from telenano.wire.printable import shown
 
 Matcher = Callable[[str], bool]
+M = TypeVar("M")
 
 
 class _Named(Protocol):
@@ -54,9 +55,9 @@ class Selection:
     topics: tuple[Matcher, ...] = ()
     exclude: tuple[Matcher, ...] = ()
     nodes: tuple[Matcher, ...] = ()
-    # The first pattern of topics and of nodes as the user wrote them, for the error if no channel is selected.
-    asked: str = ""
-    asked_node: str = ""
+    # The patterns of topics and of nodes as the user wrote them, for the error if one selects nothing.
+    asked: tuple[str, ...] = ()
+    asked_nodes: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, topics: Iterable[str] = (), exclude: Iterable[str] = (), nodes: Iterable[str] = ()) -> "Selection":
@@ -66,8 +67,8 @@ class Selection:
             tuple(map(matcher, names)),
             tuple(map(matcher, exclude)),
             tuple(map(node_matcher, publishers)),
-            next(iter(names), ""),
-            next(iter(publishers), ""),
+            names,
+            publishers,
         )
 
     def __call__(self, channel: _Named) -> bool:
@@ -82,16 +83,40 @@ class Selection:
         return not self.topics or any(test(channel_topic) for test in self.topics)
 
     def demand_some_of(self, source: Path, channels: Collection[_Named]) -> None:
-        """Raise RecordingError if the patterns select no channel; the message names the pattern and the channels."""
-        if self == ALL or any(map(self, channels)):
-            return
+        """Raise RecordingError if a pattern of topics or nodes, or all together, select no channel; it says what is."""
         names = sorted({channel.channel_topic for channel in channels})
         nodes = sorted({channel.src for channel in channels})
-        if self.nodes and not any(test(node) for test in self.nodes for node in nodes):
-            raise RecordingError(f"{source}: has no message of node {_told(self.asked_node, nodes)}")
-        if self.asked:
-            raise RecordingError(f"{source}: has no channel {_told(self.asked, names)}")
-        raise RecordingError(f"{source}: no channel is left of these: {', '.join(map(shown, names))}")
+        for pattern, test in zip(self.asked_nodes, self.nodes, strict=True):
+            if not any(map(test, nodes)):
+                raise RecordingError(f"{source}: has no message of node {_told(pattern, nodes)}")
+        for pattern, test in zip(self.asked, self.topics, strict=True):
+            if not any(map(test, names)):
+                raise RecordingError(f"{source}: has no channel {_told(pattern, names)}")
+        if self != ALL and not any(map(self, channels)):
+            raise RecordingError(f"{source}: no channel is left of these: {', '.join(map(shown, names))}")
+
+
+def some_of(
+    source: Path, messages: Iterator[M], span_ns: tuple[int, int], start_s: float, end_s: float | None
+) -> Iterator[M]:
+    """Yield the messages of a choice of channels and times; RecordingError, which says how long it is, for none.
+
+    Args:
+        source: The recording.
+        messages: The messages that were chosen.
+        span_ns: First and last time of reception in the recording [ns].
+        start_s: Begin of the chosen times, from the start of the recording [s].
+        end_s: Their end [s]; None for that of the recording.
+    """
+    first = next(messages, None)
+    if first is None:
+        lasts_s = (span_ns[1] - span_ns[0]) * 1e-9
+        until = "on" if end_s is None else f"to {end_s:g} s"
+        raise RecordingError(
+            f"{source}: lasts {lasts_s:.3f} s, and has nothing of this choice from {start_s:g} s {until}"
+        )
+    yield first
+    yield from messages
 
 
 def _told(asked: str, there_are: Collection[str]) -> str:

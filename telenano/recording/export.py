@@ -22,6 +22,8 @@ from telenano.wire.schema import json_schema
 
 # The formats of this module. Packages add others, each a function of recording, target and selection.
 FORMATS = ("mcap-json",)
+# With this beginning of its name, followed by the end of the files' names, an entry writes images and no recordings.
+IMAGE_ENTRY = "image_"
 # The form of a topic's messages for viewers: message encoding, schema (name, encoding and data), and the function that
 # encodes the JSON values of one message.
 Payload = tuple[str, tuple[str, str, bytes], Callable[[dict[str, Any]], bytes]]
@@ -100,7 +102,8 @@ _ARRAY: dict[str, Any] = {"type": "array", "items": {"type": "number"}}
 
 
 def _of_package(kind: str) -> Callable[[Recording, Path, Selection], CopyResult]:
-    loaded = plugins.load("exports", taken=FORMATS, only=kind)
+    kinds = (*FORMATS, *(name for name in plugins.installed("exports") if not name.startswith(IMAGE_ENTRY)))
+    loaded = plugins.load("exports", taken=FORMATS, only=kind if kind in kinds else "")
     if kind in loaded.problems:
         raise ConfigError(loaded.problems[kind])
     if kind in loaded.found:
@@ -108,7 +111,6 @@ def _of_package(kind: str) -> Callable[[Recording, Path, Selection], CopyResult]
         return export
     if where := where_it_is(f"format {kind}"):
         raise ConfigError(where)
-    kinds = (*FORMATS, *plugins.installed("exports"))
     raise ConfigError(f"{kind!r} is not a format{probably_meant(kind, kinds)}; known are {', '.join(kinds)}")
 
 

@@ -10,7 +10,7 @@ from typing import IO, Any, Self
 from pydantic import BaseModel
 
 from telenano.files.atomic_files import atomic_file, whole_results
-from telenano.recording.channel_filter import ALL, Selection
+from telenano.recording.channel_filter import ALL, Selection, some_of
 from telenano.recording.mcap_messages import MessageWriter
 from telenano.recording.mcap_scan import Damage, describe_damage
 from telenano.recording.messages import RawChannel, RawMessage
@@ -161,7 +161,8 @@ def filter_recording(
     A damaged file is read as far as possible, so a copy of everything recovers it.
 
     Raises:
-        RecordingError: The source is not a recording, nothing is selected, or the target exists or cannot be written.
+        RecordingError: The source is not a recording, a pattern or all together select nothing, or the target exists or
+            cannot be written.
     """
     recording = Recording(source)
     selection.demand_some_of(source, recording.channels)
@@ -169,11 +170,14 @@ def filter_recording(
     first_ns = recording.span_ns[0] + round(start_s * 1e9)
     after_ns = None if end_s is None else recording.span_ns[0] + round(end_s * 1e9)
     wanted = _cached(selection)
-    chosen = (
+    chosen: Iterator[RawMessage] = (
         message
         for message in recording.raw(skipped.append)
         if message.log_ns >= first_ns and (after_ns is None or message.log_ns < after_ns) and wanted(message.channel)
     )
+    if (selection, start_s, end_s) != (ALL, 0.0, None):
+        # A copy of everything may be of an empty recording.
+        chosen = some_of(source, chosen, recording.span_ns, start_s, end_s)
     return CopyResult.of(target, [recording], chosen, skipped)
 
 

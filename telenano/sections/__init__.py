@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from telenano.sections.hand_section import LimitsConfig as LimitsConfig
     from telenano.sections.lateral_hand_section import LateralPath as LateralPath
     from telenano.sections.operator_section import ARMS as ARMS
+    from telenano.sections.own_laws import VIRTUAL_IMPEDANCE as VIRTUAL_IMPEDANCE
+    from telenano.sections.own_laws import ImpedanceConfig as ImpedanceConfig
+    from telenano.sections.own_laws import VirtualImpedanceConfig as VirtualImpedanceConfig
     from telenano.sections.sample_section import SampleConfig as SampleConfig
     from telenano.sections.surface_files import read_surface as read_surface
 else:

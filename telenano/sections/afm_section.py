@@ -8,7 +8,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-from pydantic import ConfigDict, Field, create_model, field_validator, model_validator
+from pydantic import ConfigDict, Field, create_model, model_validator
 
 from telenano.afm.cantilever import Plant, build_plant, volts_per_m
 from telenano.afm.contact.friction import FrictionParams, adhesion_n
@@ -40,9 +40,10 @@ from telenano.sections.program_table import PROGRAMS
 from telenano.sections.sample_maps import over_map
 from telenano.sections.sample_section import SampleConfig, layers_on
 from telenano.settings.afm_disturbances import DisturbanceConfig
-from telenano.settings.config import Settings, filled, package_fields, section_of
+from telenano.settings.config import Settings, filled, section_of
 from telenano.settings.device_drivers import Drivers
-from telenano.settings.plugins import load, refuse
+from telenano.settings.entries import Entries
+from telenano.settings.plugins import installed
 from telenano.wire.errors import ConfigError
 from telenano.wire.extras import missing
 
@@ -125,12 +126,6 @@ class _OwnSections(Settings):
         """Whether the readings depend on the commands alone, so that the node can be run again from a recording."""
         return self.driver == "simulated" or DRIVERS.is_simulated(self.driver)
 
-    @field_validator("environment", mode="before")
-    @classmethod
-    def _usable_environment(cls, value: Any) -> Any:
-        refuse(SAMPLES, value)
-        return value
-
     @property
     def stiffest_n_per_m(self) -> float | None:
         """The greatest stiffness that the base can meet [N/m]; None where the settings do not determine it.
@@ -139,9 +134,15 @@ class _OwnSections(Settings):
         """
         if not self.simulated:
             return None
-        if self.environment in SAMPLES.found:
-            return getattr(section_of(self, self.environment), "stiffness_n_per_m", None)
+        if self.package_sample is not None:
+            return getattr(self.package_sample, "stiffness_n_per_m", None)
         return self.spring.stiffness_n_per_m if self.environment == "spring" else self.felt_through_n_per_m
+
+    @property
+    def package_sample(self) -> Any:
+        """The settings of the sample of a package that is in the place of cantilever and tip; None without one."""
+        sample = SAMPLES.find(self.environment)
+        return None if sample is None else section_of(self, sample.name) or sample.config()
 
     @property
     def felt_through_n_per_m(self) -> float:
@@ -369,7 +370,7 @@ class _OwnSections(Settings):
 
     def to_sample_params(self) -> AfmParams:
         """Return the parameters of the sample of another package behind the same guard."""
-        return AfmParams(self.to_guard(), section_of(self, self.environment).to_params())
+        return AfmParams(self.to_guard(), self.package_sample.to_params())
 
     def to_dynamic(
         self,
@@ -439,7 +440,7 @@ class _OwnSections(Settings):
             )
         params = self.to_params()
         # The disturbances act on the cantilever through which the force on the tip is read.
-        cantilever, is_gauged = params.plant, self.environment in SAMPLES.found or self.environment == "spring"
+        cantilever, is_gauged = params.plant, self.package_sample is not None or self.environment == "spring"
         if is_gauged:
             params = self.to_spring_params() if self.environment == "spring" else self.to_sample_params()
         elif self.sample is not None and self.sample.map is not None:
@@ -485,8 +486,10 @@ _OWN_DRIVERS = ("simulated", "modbus")
 _OWN_ENVIRONMENTS = ("tip_sample", "spring")
 # Packages may not use the keys of the section.
 TAKEN = frozenset({*_OWN_DRIVERS, *_OWN_ENVIRONMENTS, *_OwnSections.model_fields})
-SAMPLES = load("samples", checked_sample, TAKEN)
-DRIVERS = Drivers("afm_node", _OWN_DRIVERS, TAKEN | SAMPLES.found.keys(), experimental=("modbus",))
+SAMPLES = Entries("samples", "sample", checked_sample, TAKEN, _OWN_ENVIRONMENTS)
+# A sample and a driver of one name would have one section.
+_TAKEN_BY_SAMPLES = {name for name in installed("devices") if name in SAMPLES.names and SAMPLES.is_usable(name)}
+DRIVERS = Drivers("afm_node", _OWN_DRIVERS, TAKEN | _TAKEN_BY_SAMPLES, experimental=("modbus",))
 
 if TYPE_CHECKING:
     DriverName = str
@@ -497,17 +500,9 @@ if TYPE_CHECKING:
 
 else:
     DriverName = DRIVERS.name_type()
-    EnvironmentName = Literal[(*_OWN_ENVIRONMENTS, *SAMPLES.found)]
+    EnvironmentName = SAMPLES.name_type()
     _PackageSections = create_model(
-        "_PackageSections",
-        __base__=_OwnSections,
-        **DRIVERS.sections(),
-        **package_fields(
-            {
-                name: (sample.config, sample.config(), f"The sample, for environment {name}.")
-                for name, sample in SAMPLES.found.items()
-            }
-        ),
+        "_PackageSections", __base__=_OwnSections, **(SAMPLES.sections() | DRIVERS.sections())
     )
 
 

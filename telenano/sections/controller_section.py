@@ -8,7 +8,6 @@ from pydantic import ConfigDict, Field, create_model, field_validator, model_val
 
 from telenano.extend import pass_through
 from telenano.extend.laws import LONGEST_BRIDGED_PERIODS, Law, checked_law, longest_pause_periods
-from telenano.extend.virtual_impedance import VIRTUAL_IMPEDANCE, VirtualImpedanceConfig
 from telenano.laws.clamp import ClampParams
 from telenano.laws.hand_limits import HandLimits, hand_limits
 from telenano.laws.integration import TimingParams
@@ -21,10 +20,12 @@ from telenano.sections.own_laws import (
     PASSIVITY,
     POSITION_FORCE,
     TACTILE,
+    VIRTUAL_IMPEDANCE,
     WAVE,
     PassivityConfig,
     PositionForceConfig,
     TactileConfig,
+    VirtualImpedanceConfig,
     WaveConfig,
 )
 from telenano.settings.config import Settings, keys_of, merge, nested, package_fields, section_of, validate

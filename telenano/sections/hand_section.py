@@ -17,7 +17,6 @@ from telenano.sections.lateral_hand_section import LateralHandConfig
 from telenano.sections.operator_section import ArmConstants, ForceProfileConfig, ImpedanceConfig, OperatorConfig
 from telenano.settings.config import Settings, filled, validate
 from telenano.settings.device_drivers import Drivers
-from telenano.settings.entries import Entries, checked_model
 from telenano.settings.hand_disturbances import HandDisturbanceConfig
 from telenano.settings.known_packages import SIMULATED_DRIVERS
 from telenano.wire.errors import ConfigError, RefusedError
@@ -274,8 +273,7 @@ class _OwnSections(Settings):
 _OWN_DRIVERS = ("simulated", "serial")
 # Packages may not use the keys of the section.
 TAKEN = frozenset({*_OWN_DRIVERS, *_OwnSections.model_fields})
-SECTIONS = Entries("hand_sections", "devices of a package", checked_model, TAKEN, absent="section")
-DRIVERS = Drivers("haptic_node", _OWN_DRIVERS, TAKEN | set(SECTIONS.names), experimental=("serial",))
+DRIVERS = Drivers("haptic_node", _OWN_DRIVERS, TAKEN, experimental=("serial",))
 
 if TYPE_CHECKING:
     DriverName = str
@@ -285,9 +283,7 @@ if TYPE_CHECKING:
 
 else:
     DriverName = DRIVERS.name_type()
-    _DriverSections = create_model(
-        "_DriverSections", __base__=_OwnSections, **DRIVERS.sections(), **SECTIONS.sections()
-    )
+    _DriverSections = create_model("_DriverSections", __base__=_OwnSections, **DRIVERS.sections())
 
 
 class HapticConfig(_DriverSections):

@@ -1,7 +1,4 @@
-"""The laws of this project with the models of their sections: `telenano.laws` has their steps.
-
-The law of the paper, on which laws of packages are built, is in `telenano.extend.virtual_impedance`.
-"""
+"""The laws of this project with the models of their sections: `telenano.laws` has their steps."""
 
 from typing import Literal
 
@@ -11,12 +8,13 @@ from telenano.extend import pass_through
 from telenano.extend.laws import MOST_PERIODS_A_STEP, Law
 from telenano.extend.ranges import parameter
 from telenano.extend.virtual_mass import MassConfig, ScaledConfig
-from telenano.laws import passivity, position_force, tactile, wave
+from telenano.laws import passivity, position_force, tactile, virtual_impedance, wave
 from telenano.laws.passivity import PassivityParams
 from telenano.laws.position_force import PositionForceParams
 from telenano.laws.tactile import TactileParams, impedance_scaled
+from telenano.laws.virtual_impedance import VirtualImpedanceParams
 from telenano.laws.wave import WaveParams
-from telenano.numerics.discretisation import approach, decay
+from telenano.numerics.discretisation import approach, decay, exact_discretisation
 from telenano.settings.config import filled
 
 # The clamp's time constant once the hand no longer presses [s]. It is not 0, because an arm that swings on a soft
@@ -24,6 +22,28 @@ from telenano.settings.config import filled
 _LET_GO_S = 0.2
 # A store that begins empty has this level [J].
 _LEAST_LEVEL_J = 1e-9
+
+
+class ImpedanceConfig(ScaledConfig):
+    """A virtual impedance; the defaults are the paper's values in SI units (E8)."""
+
+    mass_kg: float = parameter(10.0, "kg", "Virtual mass M_v [kg]")
+    damping_n_s_per_m: float = parameter(2000.0, "N s/m", "Virtual damping B_v [N s/m]", zero=True)
+    stiffness_n_per_m: float = parameter(0.0, "N/m", "Virtual stiffness K_v [N/m]", zero=True)
+    force_gain: float = parameter(20.0, "1", "Gain of the force error K_f")
+
+    def impedance_params(self, period_s: float) -> VirtualImpedanceParams:
+        """Return the constants of the impedance for a period [s] of the hand."""
+        step = exact_discretisation(self.mass_kg, self.damping_n_s_per_m, self.stiffness_n_per_m, period_s)
+        return filled(VirtualImpedanceParams, self, period_s=period_s, impedance=step)
+
+
+class VirtualImpedanceConfig(ImpedanceConfig):
+    """Section `controller.virtual_impedance`."""
+
+    def to_params(self, period_s: float) -> VirtualImpedanceParams:
+        """Return the constants of the compiled steps for a period [s] of the hand."""
+        return self.impedance_params(period_s)
 
 
 class PositionForceConfig(MassConfig):
@@ -168,6 +188,7 @@ class TactileConfig(ScaledConfig):
         )
 
 
+VIRTUAL_IMPEDANCE = Law.of(virtual_impedance.__name__, VirtualImpedanceConfig, slave=pass_through)
 POSITION_FORCE = Law.of(position_force.__name__, PositionForceConfig, slave=pass_through)
 WAVE = Law.of(
     wave.__name__,

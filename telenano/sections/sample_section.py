@@ -2,6 +2,7 @@
 
 import importlib
 from collections.abc import Callable, Mapping
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
@@ -9,10 +10,10 @@ import numpy as np
 from pydantic import ConfigDict, Field, create_model, model_validator
 
 from telenano.afm.layers import Layer, checked_layer
-from telenano.afm.sample.surface import MOST_PIXELS, Surface, centred, checked, dots, flat, grating, plane_levelled
+from telenano.afm.sample.surface import MOST_PIXELS, SHAPES, Surface, centred, checked, plane_levelled
 from telenano.extend.maps import Span
 from telenano.sections.sample_maps import span_of
-from telenano.sections.surface_files import SHAPES, read_surface
+from telenano.sections.surface_files import read_surface
 from telenano.settings.config import Settings, keys_of, refused_code, section_of
 from telenano.settings.entries import Entries
 from telenano.settings.known_packages import where_it_is
@@ -39,8 +40,8 @@ class _OwnSample(Settings):
     name: str = Field(
         "dots",
         min_length=1,
-        description="flat, dots, grating, a file (.gsf, .npy; others by the readers of packages), or module:function of"
-        " x and y [m], which only `--allow-code` runs.",
+        description=f"{', '.join(SHAPES)}, a file (.gsf, .npy; others by the readers of packages), or module:function"
+        " of x and y [m], which only `--allow-code` runs.",
     )
     map: str | None = Field(
         None,
@@ -112,12 +113,9 @@ class _OwnSample(Settings):
             return _LEVELS[self.level](read_surface(Path(self.name), self.channel, self.size_m))
         size_m = 150e-9 if self.size_m is None else self.size_m
         try:
-            if self.name == "flat":
-                return flat(size_m, self.pixels)
-            if self.name == "dots":
-                return dots(size_m, self.pixels, self.dot_count, self.dot_radius_m, self.height_m, self.seed)
-            if self.name == "grating":
-                return grating(size_m, self.pixels, self.period_m, self.height_m)
+            if shape := SHAPES.get(self.name):
+                keys = {key: getattr(self, key) for key in signature(shape).parameters}
+                return shape(**{**keys, "size_m": size_m})
             return checked(self._computed(size_m), size_m, size_m)
         except ValueError as error:
             raise ConfigError(f"sample {self.name}: {error}") from error
@@ -142,7 +140,7 @@ class _OwnSample(Settings):
 
 # a layer may not use the keys of the section
 TAKEN = frozenset(_OwnSample.model_fields)
-LAYERS = Entries("layers", "layer", checked_layer, TAKEN)
+LAYERS = Entries("samples", "layer", checked_layer, TAKEN)
 
 if TYPE_CHECKING:
 

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.lib import format as npy
 
-from telenano.afm.sample.surface import MOST_PIXELS, Surface, checked
+from telenano.afm.sample.surface import MOST_PIXELS, SHAPES, Surface, checked
 from telenano.files.regular_files import open_regular
 from telenano.files.text_tables import TextTable, as_number
 from telenano.files.units import unit_of
@@ -40,8 +40,6 @@ _HEAD_PATTERNS = {
 _LONGEST_OF_TWO = 8
 # Heights in metres are below this limit [m]; greater values must be in another unit.
 _HIGHEST_M = 1e-4
-# Names of samples that are computed, not read from files.
-SHAPES = ("flat", "dots", "grating")
 _HEIGHT_NAMES = re.compile(r"height|topo|\bz\b|z_?sensor", re.IGNORECASE)
 
 

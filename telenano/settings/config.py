@@ -328,7 +328,9 @@ def _model_at(model: type[BaseModel], path: Sequence[int | str]) -> type[BaseMod
         if get_origin(kind) is dict:
             kind = get_args(kind)[1]
         elif isinstance(kind, type) and issubclass(kind, BaseModel) and str(part) in (keys := keys_of(kind)):
-            kind = keys[str(part)].annotation
+            field = keys[str(part)]
+            # The section of a package's entry has a rule that knows its model.
+            kind = next((rule.model for rule in field.metadata if hasattr(rule, "model")), field.annotation)
         else:
             return None
     return kind if isinstance(kind, type) and issubclass(kind, BaseModel) else None

@@ -5,13 +5,12 @@ Their names come from the metadata of the packages; a package is imported when a
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from pydantic import BaseModel
-from pydantic_core import PydanticKnownError, core_schema
 
 from telenano.settings.config import section_of, validate
-from telenano.settings.entries import Entries
+from telenano.settings.entries import Entries, SharedSection
 from telenano.settings.known_packages import where_it_is
 from telenano.settings.plugins import LoadedEntries, installed
 
@@ -109,6 +108,9 @@ class DeviceDriver:
 class Drivers(Entries[DeviceDriver]):
     """The drivers of packages for a node, each imported when it is first asked for.
 
+    An entry that is a model of settings and no driver is a section of the hand's node. Drivers of any package get it by
+    its name among their `keywords`.
+
     Args:
         node: The node that uses them.
         own: The names of the node's own drivers.
@@ -119,7 +121,8 @@ class Drivers(Entries[DeviceDriver]):
     def __init__(
         self, node: str, own: Collection[str], taken: Collection[str], experimental: Collection[str] = ()
     ) -> None:
-        super().__init__("devices", "driver", self._checked, taken, own)
+        absent = "section" if node == "haptic_node" else ""
+        super().__init__("devices", "device", self._checked, taken, own, absent, called="driver")
         self._node = node
         self._experimental = experimental
 
@@ -149,13 +152,11 @@ class Drivers(Entries[DeviceDriver]):
         if needed and section_of(config, name) is None:
             raise ValueError(f"driver: {name} needs a section {name} with {', '.join(needed)}")
 
-    def name_type(self) -> Any:
-        """Return the type of the key `driver`."""
-        return Annotated[str, _Name(self, self._own)]
-
-    def _checked(self, name: str, value: Any) -> "DeviceDriver | None":
+    def _checked(self, name: str, value: Any) -> "DeviceDriver | SharedSection | None":
+        if isinstance(value, type) and issubclass(value, BaseModel):
+            return SharedSection(value) if self._node == "haptic_node" else None
         if not isinstance(value, DeviceDriver):
-            raise TypeError(f"is a {type(value).__name__}, must be a DeviceDriver")
+            raise TypeError(f"is a {type(value).__name__}, must be a DeviceDriver or a model of settings")
         if value.name != name:
             raise ValueError(f"is registered under another name than its own, {value.name}")
         if value.in_lockstep and not (value.simulated and value.node == "haptic_node"):
@@ -163,28 +164,3 @@ class Drivers(Entries[DeviceDriver]):
         if value.in_lockstep and "period_s" in value.keywords:
             raise ValueError("keywords: a driver that runs in lockstep has no period_s, for a model has no loop")
         return value if value.node == self._node else None
-
-
-@dataclass(frozen=True)
-class _Name:
-    """The validator of the key `driver`."""
-
-    drivers: Drivers
-    own: tuple[str, ...]
-
-    def _checked(self, value: str) -> str:
-        if value in self.own or self.drivers.find(value) is not None:
-            return value
-        if hint := where_it_is(f"driver {value}"):
-            raise ValueError(hint)
-        *names, last = map(repr, self._known())
-        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(names)} or {last}"})
-
-    def _known(self) -> tuple[str, ...]:
-        return (*self.own, *self.drivers.all().found)
-
-    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        return core_schema.no_info_after_validator_function(self._checked, handler(source))
-
-    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
-        return {"enum": list(self._known()), "type": "string"}

@@ -19,30 +19,41 @@ from telenano.settings.plugins import LoadedEntries, load
 T = TypeVar("T")
 
 
+class SharedSection(NamedTuple):
+    """A section that does not belong to one entry alone, such as one that several drivers of a package share."""
+
+    config: type[BaseModel]
+
+
 class Entries(Generic[T]):
     """The entries of a kind, each of which has `config`, the model of its section.
 
+    A `SharedSection` is a section as well, and is no entry that `find` and `all` return.
+
     Args:
-        kind: The kind of entries, such as `layers`.
+        kind: The kind of entries, such as `samples`.
         what: The noun for one entry in descriptions, such as `layer`.
-        check: Returns the usable part of an entry, as for `plugins.load`.
+        check: Returns the usable part of an entry, as for `plugins.load`; None leaves out those for another section.
         taken: The other keys of the section, which no entry may use.
         own: The names of the node itself, for which `find` returns None.
-        absent: The word for such an entry in `known_packages`, where one of this project's packages has some.
+        absent: The word for such a section in `known_packages`, where one of this project's packages has some.
+        called: The word for the value of the key that names an entry there; the one of `absent` if not given.
     """
 
     def __init__(
         self,
         kind: str,
         what: str,
-        check: Callable[[str, Any], T | None],
+        check: Callable[[str, Any], T | SharedSection | None],
         taken: Collection[str],
         own: Collection[str] = (),
         absent: str = "",
+        called: str = "",
     ) -> None:
         self._kind, self._what, self._check = kind, what, check
         self._taken, self._own, self._absent = frozenset(taken), tuple(own), absent
-        self._asked: dict[str, T | None] = {}
+        self._called = called or absent
+        self._asked: dict[str, T | SharedSection | None] = {}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -55,18 +66,29 @@ class Entries(Generic[T]):
         Raises:
             ValueError: The entry cannot be used; the message says why.
         """
-        if name in self._own:
-            return None
+        found = None if name in self._own else self.with_section(name)
+        return None if isinstance(found, SharedSection) else found
+
+    def with_section(self, name: str) -> T | SharedSection | None:
+        """Return what has the section of a name, importing it now; ValueError as `find`."""
         if name not in self._asked:
-            loaded = load(self._kind, self._check, self._taken, name)
+            loaded = self._loaded(name)
             if name in loaded.problems:
                 raise ValueError(loaded.problems[name])
             self._asked[name] = loaded.found.get(name)
         return self._asked[name]
 
+    def is_usable(self, name: str) -> bool:
+        """Return whether there is an entry of a name that can be used, importing it now."""
+        return name in self._loaded(name).found
+
     def all(self) -> LoadedEntries[T]:
         """Return every entry, importing all of them now."""
-        return load(self._kind, self._check, self._taken)
+        found, problems = self._loaded()
+        return LoadedEntries({name: e for name, e in found.items() if not isinstance(e, SharedSection)}, problems)
+
+    def _loaded(self, name: str | None = None) -> LoadedEntries[T | SharedSection]:
+        return load(self._kind, self._check, self._taken, name)
 
     def sections(self) -> Any:
         """Return the fields of a section for the settings of each entry; its model is loaded at validation."""
@@ -74,22 +96,13 @@ class Entries(Generic[T]):
         names = dict.fromkeys((*self.names, *known_of(self._absent)))
         return package_fields({n: (Annotated[Any, _Section(self, n)], None, f"{about} {n}.") for n in names})
 
+    def name_type(self) -> Any:
+        """Return the type of the key that names one of the node's own or an entry, which is then imported."""
+        return Annotated[str, _Name(self, self._own, self._called)]
+
     def where_it_is(self, name: str) -> str:
         """Return a hint at the package of this project that has an entry but is not installed; empty where none has."""
         return where_it_is(f"{self._absent} {name}")
-
-
-class SharedSection(NamedTuple):
-    """A section that does not belong to one entry alone, such as one that several drivers of a package share."""
-
-    config: type[BaseModel]
-
-
-def checked_model(name: str, value: Any) -> SharedSection:
-    """Return an entry that is a model of settings as a shared section; TypeError for another entry."""
-    if not (isinstance(value, type) and issubclass(value, BaseModel)):
-        raise TypeError(f"is a {type(value).__name__}, must be a model of settings")
-    return SharedSection(value)
 
 
 @dataclass(frozen=True)
@@ -99,15 +112,20 @@ class _Section:
     entries: Entries[Any]
     name: str
 
+    @property
+    def model(self) -> type[BaseModel] | None:
+        """The model of the section, whose package is imported now; None where there is none. ValueError as `find`."""
+        entry = self.entries.with_section(self.name)
+        return None if entry is None else entry.config
+
     def _checked(self, value: Any, info: core_schema.ValidationInfo) -> BaseModel | None:
         if value is None:
             return None
-        entry = self.entries.find(self.name)
-        if entry is None:
+        config = self.model
+        if config is None:
             if hint := self.entries.where_it_is(self.name):
                 raise ValueError(hint)
             raise PydanticKnownError("extra_forbidden")
-        config: type[BaseModel] = entry.config
         if info.mode == "json":
             # A strict model accepts a list as a tuple only when it reads JSON.
             return config.model_validate_json(json.dumps(value))
@@ -117,7 +135,36 @@ class _Section:
         return core_schema.with_info_plain_validator_function(self._checked)
 
     def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
-        entry = self.entries.all().found.get(self.name)
-        if entry is None:
+        try:
+            config = self.model
+        except ValueError:
+            config = None
+        if config is None:
             raise PydanticOmit
-        return {"anyOf": [handler(entry.config.__pydantic_core_schema__), {"type": "null"}]}
+        return {"anyOf": [handler(config.__pydantic_core_schema__), {"type": "null"}]}
+
+
+@dataclass(frozen=True)
+class _Name:
+    """The validator of a key that names an entry, such as `driver`."""
+
+    entries: Entries[Any]
+    own: tuple[str, ...]
+    called: str
+
+    def _checked(self, value: str) -> str:
+        if value in self.own or self.entries.find(value) is not None:
+            return value
+        if hint := where_it_is(f"{self.called} {value}"):
+            raise ValueError(hint)
+        *names, last = map(repr, self._known())
+        raise PydanticKnownError("literal_error", {"expected": f"{', '.join(names)} or {last}"})
+
+    def _known(self) -> tuple[str, ...]:
+        return (*self.own, *self.entries.all().found)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        return core_schema.no_info_after_validator_function(self._checked, handler(source))
+
+    def __get_pydantic_json_schema__(self, schema: Any, handler: Any) -> dict[str, Any]:
+        return {"enum": list(self._known()), "type": "string"}

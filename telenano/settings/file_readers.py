@@ -35,6 +35,8 @@ class FileReader(NamedTuple):
             the other, the height, rising away from the sample [m], and the deflection [V].
         spectrum: Reads a thermal spectrum. Values: the `unit` of the density and its `averages`. Arrays: the
             frequencies [Hz] and the density.
+        map: The recorded map that these files hold, a `telenano.extend.maps.MapFormat`, which the instrument steps
+            over: no text and no function for a child process.
         limits: Returns the limits of the child process for the size of the file [bytes].
     """
 
@@ -42,10 +44,12 @@ class FileReader(NamedTuple):
     curve: str = ""
     deflections: str = ""
     spectrum: str = ""
+    map: Any = None
     limits: Callable[[int], Limits] = Limits.of_size
 
 
-def _checked(_: str, value: Any) -> FileReader:
+def checked_reader(_: str, value: Any) -> FileReader:
+    """Return the reader of an entry point; TypeError for another entry."""
     if not isinstance(value, FileReader):
         raise TypeError(f"it is {type(value).__name__}, and must be a telenano.settings.FileReader")
     return value
@@ -67,8 +71,8 @@ def read_by_package(path: Path, what: str, *arguments: str) -> Answer:
     open_regular(path).close()
     if path.stat().st_size == 0:
         raise ConfigError(f"{path}: is empty")
-    for name in (path.suffix.lower().removeprefix(".").replace("-", "_"), _OTHER):
-        loaded = plugins.load("readers", _checked, only=name)
+    for name in (plugins.name_of_ending(path), _OTHER):
+        loaded = plugins.load("readers", checked_reader, only=name)
         plugins.refuse(loaded, name)
         reader = loaded.found.get(name, FileReader())
         if function := getattr(reader, what):
@@ -82,7 +86,7 @@ def read_by_package(path: Path, what: str, *arguments: str) -> Answer:
             except ValueError as error:
                 raise ValueError(f"{error} (as the package {package} reads it)") from error
     package = KNOWN_PACKAGES["reader other"]
-    readers = plugins.load("readers", _checked).found
+    readers = plugins.load("readers", checked_reader).found
     suffixes = [
         f".{name.replace('_', '-')}" for name, reader in readers.items() if name != _OTHER and getattr(reader, what)
     ]

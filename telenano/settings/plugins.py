@@ -17,7 +17,7 @@ import importlib.util
 import os
 import re
 import sys
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import cache
 from importlib.metadata import EntryPoint, EntryPoints, entry_points, version
 from pathlib import Path
@@ -28,25 +28,10 @@ from telenano.signals import interrupts
 from telenano.wire.errors import PackageError, TelenanoError, described
 
 # The kinds that scenarios and experiments can name, on which a run therefore depends.
-SCENARIO_KINDS = (
-    *("laws", "devices", "hand_sections", "operators", "samples", "layers", "maps"),
-    *("programs", "tasks", "scenarios"),
-)
+SCENARIO_KINDS = ("laws", "devices", "operators", "samples", "programs", "readers", "tasks", "scenarios")
 KINDS = (
     *SCENARIO_KINDS,
-    *(
-        "advisers",
-        "commands",
-        "checks",
-        "exports",
-        "functions",
-        "images",
-        "panels",
-        "readers",
-        "steps",
-        "topics",
-        "transports",
-    ),
+    *("advisers", "commands", "checks", "exports", "functions", "panels", "topics", "transports"),
 )
 NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 
@@ -69,8 +54,7 @@ class Plugin(NamedTuple):
     @property
     def digest(self) -> str:
         """The digest of the entry's own folder and of the other parts of its package that it mentions."""
-        digests = [_digest(part) for part in _parts(self.target)]
-        return digests[0] if len(digests) == 1 else "sha256:" + _sha256("\n".join(digests).encode())
+        return digest_of_parts(_parts(self.target))
 
     def facts(self) -> dict[str, str]:
         """Return the package, its version and the digest, as a recording keeps them."""
@@ -95,7 +79,7 @@ def installed(kind: str) -> dict[str, Plugin]:
 @cache
 def _installed() -> dict[str, dict[str, Plugin]]:
     # Entry points and the metadata of packages are read once, because reading their files is slow.
-    entries = EntryPoints() if os.environ.get("TELENANO_WITHOUT_PACKAGES") else entry_points()
+    entries = _entries()
     packages, own = dict[int, tuple[str, str, str]](), version("telenano")
     plugins_of: dict[str, dict[str, Plugin]] = {kind: {} for kind in KINDS}
     for kind, rows in plugins_of.items():
@@ -117,6 +101,11 @@ def _installed() -> dict[str, dict[str, Plugin]]:
     return plugins_of
 
 
+def _entries() -> Any:
+    # Python 3.11 has another class for them than later ones, which has the same methods.
+    return EntryPoints() if os.environ.get("TELENANO_WITHOUT_PACKAGES") else entry_points()
+
+
 def _other_version(required: Iterable[str], own: str) -> str:
     """Return a sentence if a package requires another version of telenano than this one; empty if not."""
     for text in required:
@@ -130,6 +119,11 @@ def _other_version(required: Iterable[str], own: str) -> str:
             if needed.name == "telenano" and not needed.specifier.contains(own, prereleases=True):
                 return f"it needs telenano {needed.specifier}, and this is {own}: install its release for {own}"
     return ""
+
+
+def name_of_ending(path: Path | str) -> str:
+    """Return the name of the entry for files of this ending: `jpk_force` for `a.jpk-force`, empty without an ending."""
+    return Path(path).suffix.lower().removeprefix(".").replace("-", "_")
 
 
 def _function(_: str, value: Any) -> Any:
@@ -268,6 +262,18 @@ def fault_of_import(error: BaseException) -> str:
     return "its import raises KeyboardInterrupt"
 
 
+def of_no_kind() -> list[str]:
+    """Return a sentence for each entry of a group of telenano's that is no kind, such as one with a misspelt name."""
+    entries = _entries()
+    strays = sorted(entries.groups - {f"telenano.{kind}" for kind in KINDS})
+    return [
+        f"{entry.value} is not used: its group is {group}; known are {', '.join(KINDS)}"
+        for group in strays
+        if group.startswith("telenano.")
+        for entry in entries.select(group=group)
+    ]
+
+
 def all_installed() -> list[Plugin]:
     """Return the entries of every kind."""
     return [row for kind in KINDS for row in installed(kind).values()]
@@ -283,14 +289,15 @@ def in_lockstep() -> list[Plugin]:
     return [row for row in in_scenarios() if row.kind != "devices"]
 
 
-def with_steps() -> list[Plugin]:
-    """Return the entries with compiled steps that no scenario names; results computed with these depend on them."""
-    return list(installed("steps").values())
+def parts_of(rows: Iterable[Plugin]) -> tuple[str, ...]:
+    """Return the parts of which entries are made, as names of modules."""
+    return tuple(sorted({part for row in rows for part in _parts(row.target)}))
 
 
-def modules(rows: Iterable[Plugin]) -> tuple[str, ...]:
-    """Return the parts of the entries as prefixes of module names, each with a dot at its end."""
-    return tuple(sorted({part + "." for row in rows for part in _parts(row.target)}))
+def parts_of_module(module: str) -> tuple[str, ...]:
+    """Return the parts of which a module of an installed package is made; none for a module of no such package."""
+    has_entry = any(_top_level(row.target) == _top_level(module) for row in all_installed())
+    return _parts(module) if has_entry else ()
 
 
 def fault_of_package(error: BaseException) -> str:
@@ -314,9 +321,16 @@ def digest_of_all(rows: Iterable[Plugin]) -> str:
     return _sha256("\n".join(digests).encode()) if digests else ""
 
 
-def package_files(rows: Iterable[Plugin]) -> list[Path]:
-    """Return the files of which the entries are made."""
-    return [path for name in modules(rows) for _, path in _files(name.removesuffix("."))]
+def digest_of_parts(parts: Sequence[str]) -> str:
+    """Return one digest of the files of parts of packages."""
+    digests = [_digest(part) for part in parts]
+    return digests[0] if len(digests) == 1 else "sha256:" + _sha256("\n".join(digests).encode())
+
+
+@cache
+def files_of(parts: tuple[str, ...]) -> tuple[Path, ...]:
+    """Return the files of parts of packages."""
+    return tuple(path for part in parts for _, path in _files(part))
 
 
 @cache

@@ -10,6 +10,7 @@ from pydantic import BaseModel, Field, model_validator
 
 from telenano.settings.config import Settings, layered, parse_yaml, validate
 from telenano.settings.named_instruments import IDEAL, on_instrument
+from telenano.settings.plugins import name_of_ending
 from telenano.wire.errors import RecordingError
 
 M = TypeVar("M", bound=BaseModel)
@@ -121,23 +122,22 @@ _NAMED = (
     ("operators", ("haptic_node", "operator", "kind")),
     ("samples", ("afm_node", "environment")),
     ("programs", ("afm_node", "begin", "program")),
-    ("maps", ("afm_node", "sample", "map")),
+    ("readers", ("afm_node", "sample", "name")),
+    ("readers", ("afm_node", "sample", "map")),
 )
 _LAYERS = ("afm_node", "sample")
 
 
 def named_in(document: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return kind and name of each law, device, operator, sample, layer, map and program that a scenario names."""
+    """Return kind and name of each law, device, operator, sample, layer, reader and program that a scenario names."""
     named = ((kind, _at(document, path)) for kind, path in _NAMED)
-    # A scenario names the file of a map; the entry is named after the file's suffix.
-    found = [
-        (kind, Path(value).suffix.lower().removeprefix(".") if kind == "maps" else value)
-        for kind, value in named
-        if isinstance(value, str)
-    ]
+    # A scenario names the file; the entry that reads it is named after the file's suffix.
+    texts = [(kind, value) for kind, value in named if isinstance(value, str)]
+    found = [(kind, name_of_ending(value) if kind == "readers" else value) for kind, value in texts]
     sample = _at(document, _LAYERS)
     sections = sample.items() if isinstance(sample, Mapping) else ()
-    return found + [("layers", name) for name, section in sections if isinstance(section, Mapping)]
+    found = [(kind, name) for kind, name in found if name]
+    return found + [("samples", name) for name, section in sections if isinstance(section, Mapping)]
 
 
 def _at(document: Any, path: Sequence[str]) -> Any:

@@ -11,7 +11,7 @@ never sent.
 
 import math
 import sys
-from typing import Annotated, Any, ClassVar, Literal, dataclass_transform
+from typing import Annotated, Any, ClassVar, Literal, dataclass_transform, get_type_hints
 
 import msgspec
 import numpy as np
@@ -645,8 +645,10 @@ class NodeHealth(Message):
             "topic was already waiting; stale: older than the deadline of its topic"
         ),
     ]
-    cpu_percent: Annotated[Percent, about("Processor time used since the last report [% of one core]")]
-    memory_bytes: Annotated[Count, about("Resident memory [bytes]")]
+    cpu_percent: Annotated[
+        Percent, about("Processor time used since the last report [% of one core]", extra={"heading": "CPU %"})
+    ]
+    memory_bytes: Annotated[Count, about("Resident memory [bytes]", extra={"heading": "MB"})]
     realtime: Annotated[bool, about("SCHED_FIFO is in force")]
     memory_locked: Annotated[bool, about("Memory is locked")]
     replay: Annotated[bool, about("The messages of this node come from a recording, not from an instrument")]
@@ -696,3 +698,23 @@ class NodeHealth(Message):
             "well: a sum counts them once; absent where the node has a process of its own"
         ),
     ] = None
+    open_files: Annotated[
+        Count | None,
+        about(
+            "Files and sockets that the process has open; absent where the system does not tell",
+            extra={"heading": "files"},
+        ),
+    ] = None
+    most_open_files: Annotated[
+        Count | None, about("Files and sockets that the process may have open; absent without a limit")
+    ] = None
+
+
+# The fields of node/health with a heading are figures of the process, which all of its nodes report. `telenano status`
+# and `telenano up` show such a figure once, in a column with its heading.
+PROCESS_FIGURES: dict[str, str] = {
+    name: note.extra["heading"]
+    for name, hint in get_type_hints(NodeHealth, include_extras=True).items()
+    for note in getattr(hint, "__metadata__", ())
+    if isinstance(note, Meta) and note.extra is not None and "heading" in note.extra
+}

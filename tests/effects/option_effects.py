@@ -142,7 +142,7 @@ ACTS: Mapping[str, str] = {
     "curve --reduced-modulus": _OVERLAID,
     "experiment erase --yes": "experiment erase {out}/study P01",
     "law balance --longest": "law balance position_force --cases 4 --longest 5 --kind off --json",
-    "device accept --from": COMMANDS["device accept"],
+    "device accept --from": "device accept --out {out}",
 }
 # What is run first, in the emptied folder, by command, or by command and option.
 BEFORE: Mapping[str, Sequence[str]] = {

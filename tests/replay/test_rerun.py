@@ -32,11 +32,11 @@ from references import (
 )
 
 import telenano.wire.codec
-from telenano.extend.virtual_impedance import VirtualImpedanceConfig
 from telenano.recording.field_differences import Tolerances
 from telenano.recording.reader import Recording
 from telenano.rerun.rerun import rerun
 from telenano.rerun.rerun_bus import RerunBus
+from telenano.sections import VirtualImpedanceConfig
 from telenano.wire import Message
 from telenano.wire.errors import ConfigError
 from telenano.wire.messages import AfmState

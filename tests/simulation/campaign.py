@@ -40,7 +40,7 @@ OFTEN = 100
 INVARIANTS = (
     "nothing_late", "stop_is_last", "safe_in_time", "felt_hand", "recorded_as_sent", "law_not_blamed",
     "praised_was_held", "energy_granted", "delivered_was_sent", "counters_agree", "stop_kept", "goes_on",
-    "within_bounds",
+    "within_bounds", "states_are_true", "place_of_mode", "force_limited", "as_commanded",
 )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ Each event is a mapping with `at_s`, the time since the processes were started [
 | kill | node; after: number of messages that its process still sends; torn: share of the data not flushed that \
 reaches the disk |
 | stall | node, for_s |
-| device | device (hand, tip), fault (lost, late, repeating, range), for_s |
+| device | device (hand, tip), fault (lost, late, repeating, range; of the tip also risen, a sample that rises), for_s |
 | press | site, target: an emergency stop |
 | arm | target (hand, tip, both), place: whether the tip is told to go to the hand |
 | start, stop | of the force profile |
@@ -48,6 +48,9 @@ RATES_HZ = (50.0, 100.0, 100.0, 250.0)
 # A law that promises nothing, and presses beyond the limit of the instrument at less than the greatest of these rates,
 # without any fault.
 FAST_LAW = "four_channel"
+# Limits of the force on the tip [N]: that of the defaults, and one that a session with its overshoots keeps, but not a
+# sample that rises under the tip.
+FORCE_LIMITS_N = (200e-9, 60e-9)
 # Latest begin of a group of faults, since the start of the processes [s].
 FAULTS_S = 4.5
 # Share of the schedules in which only the delay changes, under the first law. Hand and tip then stay coupled for all of
@@ -64,7 +67,7 @@ class Schedule(NamedTuple):
 
     seed: seed of all delays on the sites; law: the law at the start; delay_s: delay of the network in each direction
     [s]; link_s: delay that the link adds in each direction [s]; events: the events in the order of time; rate_hz: the
-    rate of the loops [Hz].
+    rate of the loops [Hz]; force_limit_n: force on the tip above which its guard withdraws it [N].
     """
 
     seed: int
@@ -73,6 +76,7 @@ class Schedule(NamedTuple):
     link_s: float
     events: tuple[Event, ...]
     rate_hz: float = 250.0
+    force_limit_n: float = 200e-9
 
     @classmethod
     def drawn(cls, seed: int) -> "Schedule":
@@ -98,7 +102,7 @@ class Schedule(NamedTuple):
             # Over a long way only wave variables promise to go on, so that nothing could be judged at the end.
             ends_s = round(max(one["at_s"] + one.get("for_s", 0.0) for one in events), 4)
             events.append({"at_s": ends_s, "kind": "delay", "forward_s": 0.01, "backward_s": 0.01})
-        return cls(seed, law, delay_s, link_s, tuple(events), rate_hz)
+        return cls(seed, law, delay_s, link_s, tuple(events), rate_hz, dice.choice(FORCE_LIMITS_N))
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> "Schedule":
@@ -174,7 +178,8 @@ def _disk(dice: random.Random, at_s: float) -> list[Event]:
 
 
 def _device(dice: random.Random, at_s: float) -> list[Event]:
-    device, fault = dice.choice(["hand", "tip"]), dice.choice(["lost", "late", "repeating", "range"])
+    device, fault = dice.choice(["hand", "tip"]), dice.choice(["lost", "late", "repeating", "range", "risen"])
+    device = "tip" if fault == "risen" else device
     return [{"at_s": at_s, "kind": "device", "device": device, "fault": fault, "for_s": dice.choice([0.05, 0.2, 0.7])}]
 
 

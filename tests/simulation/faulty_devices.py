@@ -1,4 +1,7 @@
-"""A hand and an instrument that can be lost, late, repeating or out of range; they wrap the simulated ones."""
+"""A hand and an instrument that can be lost, late, repeating or out of range; they wrap the simulated ones.
+
+Each tells the world what its node had it do, and what it gave to the node, so that a judge need not believe the node.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,14 +11,18 @@ from telenano.extend.instruments import AfmReport
 
 # Number of steps by which a late sample is older.
 _LATE_STEPS = 5
+# Height by which a sample rises under the tip [m].
+_RISE_M = 60e-9
 _STATUS = {"lost": "lost", "late": "stale", "repeating": "stale"}
+# Takes what a node told its device, and what the device gave to the node.
+Account = Callable[..., None]
 
 
 class _Faulty:
     """A device that returns the samples of a simulated one, changed by the present fault."""
 
-    def __init__(self, device: Any, fault: Callable[[], str], period_s: float) -> None:
-        self._device, self._fault, self._period_s = device, fault, period_s
+    def __init__(self, device: Any, fault: Callable[[], str], period_s: float, account: Account) -> None:
+        self._device, self._fault, self._period_s, self._account = device, fault, period_s, account
         self._samples: list[Any] = []
         self._status, self._age_s, self._valid = "ok", 0.0, True
 
@@ -51,10 +58,18 @@ class _Faulty:
 class FaultyHand(_Faulty):
     """The operator's device. Out of range, its readings are invalid, and it reports itself as lost."""
 
+    _command: Any = None
+
+    def write(self, command: Any) -> None:
+        self._command = command
+        self._device.write(command)
+
     def read(self, session_time_s: float, dt_s: float) -> Any:
         reading = self._passed(self._device.read(session_time_s, dt_s))
         if not self._valid:
             self._status = "lost"
+        if (told := self._command) is not None:
+            self._account(told.mode, told.position_reference_m, reading.position_m, reading.motor_force_n)
         return reading
 
     @property
@@ -63,10 +78,16 @@ class FaultyHand(_Faulty):
 
 
 class FaultyTip(_Faulty):
-    """The instrument. Out of range, it reports its force as invalid to the guard."""
+    """The instrument. Out of range, it reports its force as invalid; risen, the sample is nearer to it."""
 
     def exchange(self, base_m: float) -> Any:
-        return self._passed(self._device.exchange(base_m))
+        rise_m = _RISE_M if self._fault() == "risen" else 0.0
+        sample = self._device.exchange(base_m + rise_m)
+        if rise_m:
+            sample = sample._replace(base_m=sample.base_m - rise_m)
+        sample = self._passed(sample)
+        self._account(base_m, sample.base_m, sample.force_n, self._status, self._valid)
+        return sample
 
     @property
     def report(self) -> AfmReport:

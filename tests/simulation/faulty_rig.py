@@ -12,6 +12,7 @@ import gc
 import json
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 from unittest import mock
@@ -227,6 +228,8 @@ class FaultyRig(SimulatedRig):
         self.history: list[dict[str, Any]] = []
         # Every message sent: its publisher, topic, number, stamp, the time of the rig, and a checksum.
         self.ledger: list[tuple[str, str, int, int, int, int]] = []
+        # What a device was told and gave, at each step, after its name and the time of the rig.
+        self.world: list[tuple[Any, ...]] = []
         self.ways = {name: Way(schedule.seed, name, schedule.delay_s) for name in ("forward", "backward")}
         self._machines: dict[str, MachineClock] = {}
         # Nodes that were started before, and by endpoint the time from which on a recorder hears it again [ns].
@@ -256,6 +259,10 @@ class FaultyRig(SimulatedRig):
     def now_s(self) -> float:
         """Time since the processes were started [s]."""
         return (self.clock.monotonic_ns() - BEGIN_NS) * 1e-9
+
+    def account(self, device: str, *told: Any) -> None:
+        """Add a step of a device to the account of the world."""
+        self.world.append((device, self.clock.monotonic_ns() - BEGIN_NS, *told))
 
     def note(self, what: str, **facts: Any) -> None:
         """Add an outside action, or an answer to a person, to the history."""
@@ -549,7 +556,7 @@ def scenario_of(schedule: Schedule) -> dict[str, Any]:
         "realtime": {"rate_hz": schedule.rate_hz},
         "haptic_node": {"operator": {"kind": "force_profile", "points": points}},
         "controller": {"law": schedule.law},
-        "afm_node": {"rest_distance_m": 10.0e-9},
+        "afm_node": {"rest_distance_m": 10.0e-9, "safety": {"force_limit_n": schedule.force_limit_n}},
         "delay_node": {way: {"delay_s": schedule.link_s} for way in ("forward", "backward")},
     }
 
@@ -580,6 +587,7 @@ def run(schedule: Schedule, folder: Path) -> Outcome:
     }
     (folder / "history.json").write_text(json.dumps(history), encoding="utf-8")
     (folder / "ledger.msgpack").write_bytes(msgpack.packb(rig.ledger))
+    (folder / "world.msgpack").write_bytes(msgpack.packb(rig.world))
     return outcome
 
 
@@ -587,12 +595,13 @@ def run(schedule: Schedule, folder: Path) -> Outcome:
 def _faulty_devices(rig: FaultyRig) -> Iterator[None]:
     """Wrap each simulated device that is built in one that can fail."""
     make_hand, make_tip = haptic_process.device_of, afm_process.driver_of
+    period_s = 1.0 / rig.schedule.rate_hz
 
     def hand(*given: Any) -> Any:
-        return FaultyHand(make_hand(*given), lambda: rig.fault_of("hand"), 1.0 / rig.schedule.rate_hz)
+        return FaultyHand(make_hand(*given), lambda: rig.fault_of("hand"), period_s, partial(rig.account, "hand"))
 
     def tip(*given: Any) -> Any:
-        return FaultyTip(make_tip(*given), lambda: rig.fault_of("tip"), 1.0 / rig.schedule.rate_hz)
+        return FaultyTip(make_tip(*given), lambda: rig.fault_of("tip"), period_s, partial(rig.account, "tip"))
 
     with mock.patch.object(haptic_process, "device_of", hand), mock.patch.object(afm_process, "driver_of", tip):
         yield

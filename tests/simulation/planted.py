@@ -16,11 +16,15 @@ from unittest import mock
 import msgspec
 from fault_schedule import LINK, TIP, Event, Schedule
 
+import services.afm_node.node as afm_node
 import services.controller.master_half as master_half
 import services.delay_node.far_stop as far_stop
+import services.haptic_node.node as haptic_node
 from services.controller.half import ControllerHalf
 from telenano.afm import safety as tip_guard
 from telenano.analysis import holds, session_judge
+from telenano.devices.afm.guarded import Step
+from telenano.extend.hands import MODE_OFF, MODE_POSITION
 from telenano.hand import safety as hand_guard
 from telenano.launcher.restart_policy import RestartTracker
 from telenano.laws import wave
@@ -156,7 +160,111 @@ def _jumping(next_base: Any) -> Any:
     return step
 
 
+def _unlimited(step: Any) -> Any:
+    return lambda params, *rest: step(params._replace(force_limit_n=1.0), *rest)
+
+
+def _scaled(factor: float) -> Callable[[Any], Any]:
+    return lambda convert: lambda vector: factor * convert(vector)
+
+
+def _turned(fields: Any) -> Any:
+    def turned(self: Any, memory: Any) -> Any:
+        said = fields(self, memory)
+        return said | {"base_position_m": said["base_position_m"][::-1]}
+
+    return turned
+
+
+def _unlatched(step: Any) -> Any:
+    def fallen(params: Any, state: Any, inputs: Any, dt: float) -> Any:
+        return step(params, state._replace(estop_latched=state.estop_latched and not inputs.device_lost), inputs, dt)
+
+    return fallen
+
+
+def _held_in_motion(next_base: Any) -> Any:
+    def moved(params: Any, base_m: float, mode: int, *rest: float) -> Any:
+        return next_base(params, base_m, tip_guard.MODE_FOLLOW if mode == tip_guard.MODE_HOLD else mode, *rest)
+
+    return moved
+
+
+def _slow(next_base: Any) -> Any:
+    return lambda params, *rest: next_base(params._replace(retract_speed_m_per_s=1e-9), *rest)
+
+
+def _cut(next_base: Any) -> Any:
+    def cut(*given: Any) -> Any:
+        base_m, limited = next_base(*given)
+        return min(base_m, 5e-9), limited
+
+    return cut
+
+
+def _driven(make: Any) -> Any:
+    return lambda mode, *rest: make(MODE_POSITION if mode == MODE_OFF else mode, *rest)
+
+
 PLANTED: dict[str, Fault] = {
+    "a limit that is not looked at": _fault(
+        "the tip is pressed with any force",
+        "force_limited",
+        _instead(tip_guard, "safety_step", _unlimited),
+        events=[_at(2.0, "device", device="tip", fault="risen", for_s=0.7)],
+    ),
+    "a slow retraction": _fault(
+        "the base of a tip that is withdrawn goes at a thousandth of its speed",
+        "place_of_mode goes_on",
+        _instead(tip_guard, "_next_base", _slow),
+        events=[_at(2.0, "press", site="slave", target="afm_node")],
+    ),
+    "a hold that goes on": _fault(
+        "the base of a held tip goes on to its last reference",
+        "place_of_mode",
+        _instead(tip_guard, "_next_base", _held_in_motion),
+        events=[_at(0.95, "delay", forward_s=0.12, backward_s=0.01)],
+    ),
+    "a sign of the base": _fault(
+        "the instrument goes the other way",
+        "as_commanded goes_on praised_was_held law_not_blamed energy_granted",
+        _instead(afm_node, "to_paper_axis", _scaled(-1.0)),
+    ),
+    "a reference scaled twice": _fault(
+        "the hand's reference is a tenth more than the law commands",
+        "as_commanded praised_was_held energy_granted within_bounds goes_on",
+        _instead(haptic_node, "to_paper_axis", _scaled(1.1)),
+    ),
+    "a place of ten times the size": _fault(
+        "the state of the hand has ten times its place",
+        "states_are_true within_bounds as_commanded praised_was_held energy_granted goes_on law_not_blamed",
+        _instead(haptic_node, "to_site_frame", lambda convert: lambda value: convert(10.0 * value)),
+    ),
+    "an axis for another": _fault(
+        "the state of the tip has x in the place of z",
+        "states_are_true goes_on praised_was_held law_not_blamed energy_granted as_commanded",
+        _instead(Step, "fields", _turned),
+    ),
+    "a clamp after the guard": _fault(
+        "something behind the guard keeps the base away, and says nothing of it",
+        "as_commanded goes_on praised_was_held law_not_blamed energy_granted",
+        _instead(tip_guard, "_next_base", _cut),
+    ),
+    "a motor that stays on": _fault(
+        "the motor of a hand that is off is driven",
+        "states_are_true as_commanded",
+        _instead(haptic_node, "DriveCommand", _driven),
+        events=[_at(2.0, "press", site="master", target="*")],
+    ),
+    "a latch that falls with its device": _fault(
+        "a hand that was lost is no longer in emergency stop",
+        "stop_is_last",
+        _instead(hand_guard, "step", _unlatched),
+        events=[
+            _at(1.5, "press", site="master", target="haptic_node"),
+            _at(2.0, "device", device="hand", fault="lost", for_s=0.2),
+        ],
+    ),
     "a tip that jumps": _fault(
         "a tip that is withdrawn is at its place of safety in one step",
         "within_bounds",

@@ -32,13 +32,13 @@ from pydantic import Field
 from telenano.extend import pass_through
 from telenano.extend.laws import HandSample, Law, MasterReference, PortSignal, port_signal
 from telenano.extend.ranges import parameter
-from telenano.extend.virtual_impedance import VIRTUAL_IMPEDANCE, ImpedanceConfig, VirtualImpedanceParams
-from telenano.extend.virtual_impedance import MasterState as ImpedanceState
 from telenano.extend.virtual_mass import (
     at_hand,
     periods_in,
 )
+from telenano.laws import ImpedanceState, VirtualImpedanceParams
 from telenano.numerics import compiled, decay
+from telenano.sections import VIRTUAL_IMPEDANCE, ImpedanceConfig
 
 # Names of this module, so that numba can compile calls of these steps.
 _start = VIRTUAL_IMPEDANCE.master_start

@@ -1,4 +1,7 @@
-"""The exception for sealed data from another machine that is refused."""
+"""Sealed data from another machine: the greatest size of a datagram, and the exception for what is refused."""
+
+# A size that every network carries in one piece, with the headers of a tunnel.
+MOST_BYTES = 1200
 
 
 class RejectedError(Exception):

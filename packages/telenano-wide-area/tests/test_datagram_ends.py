@@ -17,7 +17,6 @@ from telenano_wide_area.datagram.reception import FIRST_NS
 from telenano_wide_area.datagram.replay_window import WINDOW, ReplayWindow
 from telenano_wide_area.datagram.sealing import (
     HEADER,
-    MOST_BYTES,
     OVERHEAD_BYTES,
     DirectionKeys,
     KeyPair,
@@ -26,7 +25,7 @@ from telenano_wide_area.datagram.sealing import (
 )
 from telenano_wide_area.doubles.datagram_bench import SOURCES, STEP_NS, Pair, Side, pair
 from telenano_wide_area.link_end import place_of
-from telenano_wide_area.sealed import RejectedError
+from telenano_wide_area.sealed import MOST_BYTES, RejectedError
 
 from telenano.testing import payload
 

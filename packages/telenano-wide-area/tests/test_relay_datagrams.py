@@ -2,7 +2,6 @@
 
 import pytest
 from relay_bench import MASTER, RELAY, RELAY_ADDRESS, SLAVE, STRANGER, End, Network, key_pair
-from telenano_wide_area.datagram.sealing import MOST_BYTES
 from telenano_wide_area.relay.forwarder import PLACE_S
 from telenano_wide_area.relay.protocol import (
     COOKIE_BYTES,
@@ -14,7 +13,7 @@ from telenano_wide_area.relay.protocol import (
     raw_key,
     request_bytes,
 )
-from telenano_wide_area.sealed import RejectedError
+from telenano_wide_area.sealed import MOST_BYTES, RejectedError
 
 from telenano.runtime import KeyPair
 

@@ -5,8 +5,8 @@ const here = (path: string): string => new URL(path, import.meta.url).pathname;
 export default defineConfig({
   base: "./",
   // the tests of panels of packages lie with them
-  // A thread for each file is as much apart as a process, and starts sooner.
-  test: { include: ["test/**/*.test.ts", here("../../../packages/*/tests/web/*.test.ts")], pool: "threads", server: { deps: { inline: true } } },
+  // A thread for each file is as much apart as a process, and starts sooner. A slow machine may take its time.
+  test: { include: ["test/**/*.test.ts", here("../../../packages/*/tests/web/*.test.ts")], pool: "threads", testTimeout: 60_000, server: { deps: { inline: true } } },
   resolve: { alias: { "../../kit.js": here("src/kit.ts"), vitest: here("node_modules/vitest") } },
   build: {
     target: "es2022",

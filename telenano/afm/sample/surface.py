@@ -11,6 +11,7 @@ NIST 102 (1997) 425). The forces are then those of the sphere over a flat at tha
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -141,31 +142,31 @@ def flat(size_m: float, pixels: int) -> Surface:
     return checked(np.zeros((pixels, pixels)), size_m, size_m)
 
 
-def dots(size_m: float, pixels: int, count: int, radius_m: float, height_m: float, seed: int) -> Surface:
-    """Return a level square of size_m [m] with `count` dots at random places, none touching another (Fig. 8: InAs).
+def dots(size_m: float, pixels: int, dot_count: int, dot_radius_m: float, height_m: float, seed: int) -> Surface:
+    """Return a level square of size_m [m] with dots at random places, none touching another (Fig. 8: InAs).
 
-    A dot is half an ellipsoid, height_m [m] tall on a circle of radius_m [m]. The places depend on the seed alone.
+    A dot is half an ellipsoid, height_m [m] tall on a circle of dot_radius_m [m]. The places depend on the seed alone.
 
     Raises:
         ValueError: The dots find no room.
     """
     random = np.random.Generator(np.random.PCG64(seed))
     places: list[tuple[float, float]] = []
-    room = size_m - 4.0 * radius_m
-    for _ in range(_PLACEMENTS * count):
-        if len(places) == count:
+    room = size_m - 4.0 * dot_radius_m
+    for _ in range(_PLACEMENTS * dot_count):
+        if len(places) == dot_count:
             break
-        x, y = (2.0 * radius_m + room * value for value in random.random(2).tolist())
-        if all((x - p) ** 2 + (y - q) ** 2 > (2.5 * radius_m) ** 2 for p, q in places):
+        x, y = (2.0 * dot_radius_m + room * value for value in random.random(2).tolist())
+        if all((x - p) ** 2 + (y - q) ** 2 > (2.5 * dot_radius_m) ** 2 for p, q in places):
             places.append((x, y))
-    if len(places) < count or room <= 0.0:
+    if len(places) < dot_count or room <= 0.0:
         raise ValueError(
-            f"{count} dots of radius {radius_m:g} m find no room on {size_m:g} m: take fewer or smaller ones"
+            f"{dot_count} dots of radius {dot_radius_m:g} m find no room on {size_m:g} m: take fewer or smaller ones"
         )
     middles = (np.arange(pixels) + 0.5) * (size_m / pixels)
     heights = np.zeros((pixels, pixels))
     for x, y in places:
-        squared = ((middles[None, :] - x) ** 2 + (middles[:, None] - y) ** 2) / radius_m**2
+        squared = ((middles[None, :] - x) ** 2 + (middles[:, None] - y) ** 2) / dot_radius_m**2
         np.maximum(heights, height_m * np.sqrt(np.maximum(1.0 - squared, 0.0)), out=heights)
     return checked(heights, size_m, size_m)
 
@@ -178,6 +179,10 @@ def grating(size_m: float, pixels: int, period_m: float, height_m: float) -> Sur
     middles = (np.arange(pixels) + 0.5) * (size_m / pixels)
     ridge = np.abs(np.mod(middles / period_m + 0.5, 1.0) - 0.5) > 0.25
     return checked(np.tile(np.where(ridge, height_m, 0.0), (pixels, 1)), size_m, size_m)
+
+
+# The shapes that a sample can have by name. A shape takes keys of the section of the sample by their names.
+SHAPES: dict[str, Callable[..., Surface]] = {"flat": flat, "dots": dots, "grating": grating}
 
 
 def centred(surface: Surface) -> Surface:

@@ -116,13 +116,16 @@ def cat(
 ) -> None:
     """Print messages with their record fields, one a line as JSON."""
     with report_errors(as_json=False):
+        from telenano.recording.channel_filter import some_of
         from telenano.recording.multi_file import open_recordings
         from telenano.recording.tables import line
 
         recording = open_recordings(files, same_session=same_session)
         chosen = Selection.of(topics or (), exclude or (), nodes or ())
         chosen.demand_some_of(files[0], recording.channels)
-        for message in islice(recording.select(chosen, *_bounds(recording.span_ns[0], start, end)), count):
+        span_ns = recording.span_ns
+        messages = recording.select(chosen, *_bounds(span_ns[0], start, end))
+        for message in islice(some_of(files[0], messages, span_ns, start, end), count):
             print_json(line(message))
 
 

@@ -76,7 +76,8 @@ def package_rows() -> list[dict[str, Any]]:
     drivers, problems = {**handles.found, **instruments.found}, {**handles.problems, **instruments.problems}
     checked = {finding.name: finding for finding in checks_of_packages()}
     rows = []
-    for name, row in installed("devices").items():
+    # The other entries are sections that drivers share.
+    for name, row in ((name, row) for name, row in installed("devices").items() if name in drivers or name in problems):
         finding = checked.get(name)
         rows.append(
             {

@@ -19,6 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from telenano.cli.lazy_commands import NAMED_RIG
+from telenano.cli.option_rules import Void, rules
 from telenano.cli.options import JsonOption, SiteFileOption
 from telenano.cli.output import console, fail, print_answer, print_json, report_errors
 from telenano.doctor import checks
@@ -35,6 +36,7 @@ from telenano.settings.plugins import (
     installed,
     known_problems,
     load,
+    of_no_kind,
     scenario_files,
 )
 from telenano.wire.errors import ConfigError, EndpointError, RigError, TelenanoError
@@ -46,6 +48,7 @@ if TYPE_CHECKING:
 _STYLES = {"ok": "green", "warning": "yellow", "problem": "red"}
 
 
+@rules(Void("*", "which checks nothing", beside="--warm", but="--json"))
 def doctor(
     context: typer.Context,
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
@@ -159,8 +162,8 @@ def packages() -> list[Finding]:
 
 def extensions() -> list[Finding]:
     """Load the extensions of installed packages, if there are any, and report those that cannot be used."""
-    rows = all_installed()
-    if not rows:
+    rows, strays = all_installed(), of_no_kind()
+    if not rows and not strays:
         return []
     from telenano.runtime.wiring.main import node_kind
     from telenano.sections.afm_section import DRIVERS as INSTRUMENTS
@@ -176,7 +179,7 @@ def extensions() -> list[Finding]:
     for topic in installed_topics():
         row_of(topic)
     scenario_files()
-    name, texts = "laws and devices", known_problems()
+    name, texts = "laws and devices", [*known_problems(), *strays]
     if not texts:
         return [Finding(name, "ok", f"{len(rows)} of installed packages can be used")]
     advice = "nothing that does not name them is affected; update or uninstall their packages"

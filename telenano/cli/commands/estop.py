@@ -4,6 +4,7 @@ import typer
 
 from telenano.cli.estop_command import EstopRequest, run_estop
 from telenano.cli.options import JsonOption, RigFileOption, SiteOption, TargetOption
+from telenano.cli.output import print_json
 
 
 def estop(
@@ -18,5 +19,5 @@ def estop(
     Without --rig and --site-file it stops each rig of this user: those of the folder that TELENANO_RUNTIME_DIR names,
     or else those of every folder on this machine. Where there are several, each answer begins with its rig or folder.
     """
-    request = EstopRequest(target, site or "", site_file, as_json)
+    request = EstopRequest(target, site or "", site_file, as_json, answer=print_json)
     raise typer.Exit(run_estop(request))

@@ -9,6 +9,7 @@ import typer
 
 from telenano.cli.commands.session import send_command
 from telenano.cli.commands.topic import open_observer
+from telenano.cli.option_rules import Void, rules
 from telenano.cli.options import JsonOption, SiteFileOption, command_group
 from telenano.cli.output import print_answer, report_errors
 from telenano.cli.tables import counts_text
@@ -64,6 +65,11 @@ def set_keys(
 
 
 @app.command()
+@rules(
+    Void("--show", "the profile to show", unless="NAME"),
+    Void("--site-file, --rig", "which changes no rig", beside="--show"),
+    Void("--site-file, --rig", "the profile to apply", unless="NAME"),
+)
 def profile(
     name: Annotated[
         str | None, typer.Argument(metavar="NAME", help="Profile to apply; without it, list the profiles.")

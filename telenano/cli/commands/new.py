@@ -7,12 +7,14 @@ from typing import Annotated, get_args
 import typer
 
 from telenano.cli.new_package import Kind, new_package
-from telenano.cli.options import JsonOption, refuse_unused
+from telenano.cli.option_rules import Void, rules
+from telenano.cli.options import JsonOption
 from telenano.cli.output import print_json, report_errors
 from telenano.wire.errors import ConfigError
 from telenano.wire.printable import quoted
 
 
+@rules(Void("--node", "the only kind that has a node", unless="KIND device"))
 def new(
     kind: Annotated[Kind, typer.Argument(metavar="KIND", help=f"One of {', '.join(get_args(Kind))}.")],
     name: Annotated[str, typer.Argument(metavar="NAME", help="Its name in a scenario, such as my_law.")],
@@ -31,8 +33,6 @@ def new(
 ) -> None:
     """Make a package with one of these of yours, a test of it and all that pip needs."""
     with report_errors(as_json):
-        if kind != "device":
-            refuse_unused({"--node": node}, f"not with {kind}, only a device has one")
         if node not in (None, "haptic_node", "afm_node"):
             raise ConfigError(f"--node {node}: devices are those of haptic_node and of afm_node")
         if kind == "device" and node == "afm_node":

@@ -6,6 +6,7 @@ import typer
 import yaml
 
 from telenano.cli.completion import scenario_names, scenario_sections
+from telenano.cli.option_rules import Void, rules
 from telenano.cli.options import JsonOption, SettingsOption, command_group
 from telenano.cli.output import print_answer, report_errors
 from telenano.settings.included import find_scenario
@@ -22,6 +23,7 @@ ScenarioOption = Annotated[
 
 
 @app.command("list")
+@rules(Void("--all", "below which every key is listed", beside="PREFIX"))
 def list_all(
     prefix: Annotated[
         str,

@@ -11,6 +11,7 @@ import typer
 from telenano.cli.estop_command import EstopRequest, run_estop
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.keyboard import RawKeyboard
+from telenano.cli.option_rules import Void, rules
 from telenano.cli.options import JsonOption, RigFileOption, SiteOption, TargetOption
 from telenano.cli.output import print_answer, print_json, report_errors
 from telenano.console.answers import kind_of
@@ -30,6 +31,11 @@ from telenano.wire.nodes import Site
 SessionCommand = Literal["arm", "start", "stop", "estop", "set", "mark", "couple"]
 
 
+@rules(
+    Void("--return", "which alone has a way back", unless="COMMAND arm, COMMAND estop"),
+    Void("--target", "which is for both devices", beside="--return", unless="COMMAND estop"),
+    Void("KEY=VALUE, --target, --site slave", "which is for both, at the master's site", beside="COMMAND couple"),
+)
 def session(
     command: Annotated[SessionCommand, typer.Argument(metavar="COMMAND", help="Command to send.")],
     parameters: Annotated[
@@ -61,16 +67,12 @@ def session(
     While a person at a page holds control, only stop, estop and mark are accepted. TELENANO_NAME names the sender.
     """
     if command == "estop":
-        raise typer.Exit(run_estop(EstopRequest(target, site or "", site_file, as_json)))
+        raise typer.Exit(run_estop(EstopRequest(target, site or "", site_file, as_json, answer=print_json)))
     with report_errors(as_json), holding(CONSOLE, from_anyone=True) if take else contextlib.nullcontext():
         if command == "couple":
-            if parameters or target != "*" or site == "slave":
-                raise ConfigError("couple takes no parameters and no target, and is given at the master's site")
             text = recouple(site_file or _usual_file(site), issued_ns=process_start_ns())
             print_answer({"command": "couple", "text": text}, text, as_json=as_json)
         elif back:
-            if command != "arm" or target != "*":
-                raise ConfigError("--return is an option of arm, which is then for both devices")
             _return(parameters or (), site_file or _usual_file(site), site or "master", as_json=as_json)
         else:
             send_command(command, parameters or (), target, site_file, site, as_json=as_json)

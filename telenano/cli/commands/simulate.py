@@ -13,6 +13,7 @@ from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 from telenano.cli.lazy_commands import function_of_package
 from telenano.cli.live_view import LineView
 from telenano.cli.model_options import SECONDS, Given, validated, with_options
+from telenano.cli.option_rules import Keys, Void, rules
 from telenano.cli.options import (
     AllowCodeOption,
     FormatOption,
@@ -21,19 +22,32 @@ from telenano.cli.options import (
     SeedsOption,
     StyleOption,
     TableOption,
-    refuse_unused,
     table_formats,
 )
-from telenano.cli.output import console, fail, fail_with_summary, print_summary, report_errors, say
-from telenano.cli.sweep import SEED, points_of, run_sweep, without_sweep
+from telenano.cli.output import (
+    console,
+    fail,
+    fail_with_summary,
+    print_answer,
+    print_summary,
+    report_errors,
+    say,
+)
+from telenano.cli.sweep import SEED, SESSION_RULES, points_of, run_sweep, without_sweep
 from telenano.launcher.plan import Plan
 from telenano.launcher.run import Outcome, default_folder, report_of, reserved_folder
 from telenano.settings.config import permit_code
 from telenano.settings.plugins import known_problems
-from telenano.virtual.request import SimulateRequest, plan_of, run_plan
+from telenano.virtual.request import SEEDS, SimulateRequest, plan_of, run_plan
 from telenano.wire.errors import ConfigError, ReportError
 
 
+@rules(
+    *SESSION_RULES,
+    Keys("--seed", ", ".join((SEED, *SEEDS))),
+    Keys("--both-sites", "recorder.far"),
+    Void("--format, --style", "which leaves out the figure", beside="--no-report", unless="--sweep, --seeds"),
+)
 @with_options(SimulateRequest, ("scenario",), units=SECONDS)
 def simulate(
     scenario: Annotated[
@@ -73,11 +87,8 @@ def simulate(
         request = validated(SimulateRequest, {**given, "scenario": scenario})
         repeated = [] if seeds is None else [f"{SEED}={','.join(map(str, range(seeds)))}"]
         if sweep or repeated:
-            _sweep([*(sweep or ()), *repeated], request, options, table, as_json=as_json)
+            _sweep([*(sweep or ()), *repeated], request, options, table, quiet=quiet, as_json=as_json)
             return
-        refuse_unused({"--table": table != "csv"}, "not without --sweep or --seeds, whose sessions it compares")
-        figure = {"--format": formats != "png", "--style": style != "screen"}
-        refuse_unused(figure if no_report else {}, "not with --no-report, which leaves out the figure")
         view = LineView(console(), quiet=quiet or as_json)
         if request.out is not None:
             outcome, summary, plan = _run(request, request.out, options, view, report=not no_report, as_json=as_json)
@@ -92,7 +103,8 @@ def simulate(
     elif not outcome.recordings:
         fail("; ".join(["the session left no recording", *outcome.missing]), as_json=as_json)
     else:
-        typer.echo(str(outcome.recordings[-1]))
+        recording = str(outcome.recordings[-1])
+        print_answer({"recording": recording}, recording, as_json=as_json)
 
 
 def _run(
@@ -111,7 +123,9 @@ def _run(
         fail_with_summary(error, str(plan.out), as_json=as_json)
 
 
-def _sweep(values: list[str], request: SimulateRequest, options: FigureOptions, tables: str, *, as_json: bool) -> None:
+def _sweep(
+    values: list[str], request: SimulateRequest, options: FigureOptions, tables: str, *, quiet: bool, as_json: bool
+) -> None:
     """Run this command once for each point of a sweep, then compare the sessions with the command of a package."""
     table_formats(tables)
     compare = function_of_package("compare")
@@ -123,6 +137,6 @@ def _sweep(values: list[str], request: SimulateRequest, options: FigureOptions, 
         # A plan is made for every point first, so that a wrong key or value is found before the first session runs.
         plan_of(point.asked_of(request, folder), folder)
     words = without_sweep(sys.argv, "simulate")
-    folders = run_sweep(points, words, folder, lambda text: typer.echo(text, err=True), "simulate")
+    folders = run_sweep(points, words, folder, quiet=quiet, name="simulate")
     formats = ",".join(options.formats)
     compare(folders, folder, formats=formats, style=options.style, table=tables, as_json=as_json)

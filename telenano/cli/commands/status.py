@@ -9,12 +9,13 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Group
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
+from telenano.cli.option_rules import Void, rules
 from telenano.cli.options import JsonOption, ListenOption, SiteFileOption
 from telenano.cli.output import NO_ROOM, console, fail, print_answer, print_json, report_errors
-from telenano.cli.tables import LEVEL_STYLES, counts_text, health_cells
+from telenano.cli.tables import LEVEL_STYLES, counts_text, figures
 from telenano.launcher.processors import fits_text, held, permitted, shared_folder
 from telenano.launcher.rig_status import NEEDED, RigStatus, document_of, expected_nodes, listen
 from telenano.launcher.rigs import RigFacts, about_rig, lists_all_folders, rigs_elsewhere, running_rigs
@@ -26,11 +27,6 @@ from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.timing.loop_age import Part, in_words
 
 _DEFAULT_S = 1.5
-_COLUMNS = (
-    "node", "state", "up", "rate Hz", "late p99 ms", "overruns", "input age ms", "lost", "refused", "CPU %", "MB",
-    "granted",
-)  # fmt: skip
-_LEFT = ("node", "state", "refused", "granted")
 # A node that makes less than this share of its steps runs on a machine that is too busy.
 _LEAST_SHARE = 0.95
 # Parts of the age of the loop that are shorter than this are not named [s].
@@ -38,6 +34,7 @@ _LEAST_PART_S = 5e-6
 _AFM_NOTES = {"in_contact": "in contact", "meniscus": "meniscus", "limited": "at a limit"}
 
 
+@rules(Void("*", "which lists every rig, and listens to none", beside="--all", but="--json"))
 def status(
     site_file: SiteFileOption = DEFAULT_SITE_FILE,
     duration: ListenOption = _DEFAULT_S,
@@ -114,13 +111,13 @@ def print_status(
 
 def status_tables(document: Mapping[str, Any]) -> Group:
     """Draw the state of a rig: the nodes, then a line for each of link, law, device, recorder and event."""
-    table = Table()
-    for name in _COLUMNS:
-        # Headings may wrap in a narrow terminal, names may not.
-        table.add_column(name, justify="left" if name in _LEFT else "right", no_wrap=name == "node")
+    # Headings may wrap in a narrow terminal, names may not.
+    table = Table(Column("node", no_wrap=True))
+    for heading, figure in figures().items():
+        table.add_column(heading, justify="left" if figure.is_text else "right")
     for facts in document["nodes"]:
-        cells = health_cells(facts) if facts["heard"] else {"state": Text("no report", "red")}
-        table.add_row(facts["node"], *(cells.get(name, Text("")) for name in _COLUMNS[1:]))
+        cells = [figure.cell(facts) for figure in figures().values()] if facts["heard"] else [Text("no report", "red")]
+        table.add_row(facts["node"], *cells)
     lines = Table.grid(padding=(0, 2))
     for facts in document["nodes"]:
         if facts["problem"]:

@@ -15,6 +15,7 @@ from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION, EXIT_FAILED
 from telenano.cli.lazy_commands import function_of_package
 from telenano.cli.live_view import LineView, LiveView
 from telenano.cli.model_options import SECONDS, Given, validated, with_options
+from telenano.cli.option_rules import Keys, Void, rules
 from telenano.cli.options import (
     AllowCodeOption,
     FormatOption,
@@ -23,7 +24,6 @@ from telenano.cli.options import (
     SeedsOption,
     StyleOption,
     TableOption,
-    refuse_unused,
 )
 from telenano.cli.output import (
     console,
@@ -36,7 +36,7 @@ from telenano.cli.output import (
     report_errors,
     say,
 )
-from telenano.cli.sweep import SEED
+from telenano.cli.sweep import SEED, SESSION_RULES
 from telenano.launcher.disk_space import check_room
 from telenano.launcher.fan_out import fan_out
 from telenano.launcher.page import NO_PAGE, inherited_by_page
@@ -50,7 +50,24 @@ from telenano.settings.plugins import known_problems
 from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, ReportError
 
+_CONDUCTED = "where no session is conducted: give it at the master"
 
+
+@rules(
+    *SESSION_RULES,
+    Keys("--allow-replay", "afm_node.allow_replay, haptic_node.allow_replay"),
+    Keys("--attended", "afm_node.attended"),
+    Void("--scenario", "which names the experiment", beside="NAME|FILE"),
+    Void(
+        "--set, --instrument, --round-trip-ms, --without, --allow-replay, --attended, --allow-code, --sweep, --seeds",
+        "which starts no node: give it where the nodes are started",
+        beside="--attach",
+    ),
+    Void("--attach, --duration, --wait, --sweep, --seeds, --format, --style", _CONDUCTED, beside="--site slave"),
+    Void("--round-trip-ms", "where no link runs: give it at the master", beside="--site slave"),
+    Void("--wait", "which wait for nodes that run elsewhere", unless="--attach, --site"),
+    Void("--headless", "which prints no line for a phase", beside="--quiet, --sweep, --seeds"),
+)
 @with_options(UpRequest, ("page", "scenario"), units=SECONDS)
 def up(
     given: Given,
@@ -102,20 +119,17 @@ def up(
         request = validated(UpRequest, {**given, **asked, "page": not (no_view or as_json or headless or quiet)})
         repeated = [] if seeds is None else [f"{SEED}={','.join(map(str, range(seeds)))}"]
         if sweep or repeated:
-            _sweep([*(sweep or ()), *repeated], request, options, table, as_json=as_json)
+            _sweep([*(sweep or ()), *repeated], request, options, table, quiet=quiet, as_json=as_json)
             return
-        refuse_unused({"--table": table != "csv"}, "not without --sweep or --seeds, whose sessions it compares")
         with _folder_of(request) as folder:
             outcome, summary, plan = _run(request, folder, options, headless=headless, quiet=quiet, as_json=as_json)
     _print_outcome(outcome, summary, plan, as_json=as_json)
 
 
 def _experiment(argument: str | None, option: str | None) -> str:
-    """Return the experiment that is named, by the argument or by the option; ConfigError for none or two."""
+    """Return the experiment that is named, by the argument or by the option; ConfigError for none."""
     if argument is None and option is None:
         raise ConfigError("no experiment is named, such as in `telenano up fig12` (`telenano up --help` explains)")
-    if argument is not None and option not in (None, argument):
-        raise ConfigError(f"two experiments are named, {argument} and --scenario {option}: give one")
     return argument or option or ""
 
 
@@ -187,7 +201,9 @@ def _clock_text(plan: Plan) -> str:
     return "" if finding.level == "ok" else f"the clock of this machine is {finding.found}; {finding.advice}"
 
 
-def _sweep(values: list[str], request: UpRequest, options: FigureOptions, tables: str, *, as_json: bool) -> None:
+def _sweep(
+    values: list[str], request: UpRequest, options: FigureOptions, tables: str, *, quiet: bool, as_json: bool
+) -> None:
     """Run this command once for each point of a sweep, then compare the sessions with the command of a package."""
     from telenano.cli.sweep import points_of, run_sweep, without_sweep
 
@@ -199,7 +215,7 @@ def _sweep(values: list[str], request: UpRequest, options: FigureOptions, tables
     for point in points:
         # A plan is made for every point first, so that a wrong key or value is found before the first session runs.
         make_plan(point.asked_of(request, folder), folder)
-    folders = run_sweep(points, without_sweep(sys.argv), folder, lambda text: typer.echo(text, err=True))
+    folders = run_sweep(points, without_sweep(sys.argv), folder, quiet=quiet)
     formats = ",".join(options.formats)
     compare(folders, folder, formats=formats, style=options.style, table=tables, as_json=as_json)
 

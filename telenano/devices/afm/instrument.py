@@ -16,7 +16,7 @@ from telenano.extend.programs import Instrument
 from telenano.extend.stage import Place
 from telenano.runtime.loop.node import LOOP_PERIOD_S
 from telenano.sections.afm_parts import ModbusConfig
-from telenano.sections.afm_section import DRIVERS, SAMPLES, AfmConfig
+from telenano.sections.afm_section import DRIVERS, AfmConfig
 from telenano.sections.program_requests import LateralTarget
 from telenano.sections.program_table import PROGRAMS
 from telenano.sections.sample_section import layers_on
@@ -34,7 +34,7 @@ def driver_of(config: AfmConfig, period_s: float = LOOP_PERIOD_S) -> AfmDriver:
     if (driver := DRIVERS.find(config.driver)) is not None:
         device: AfmDriver = driver.device(config, config.to_params().safety, period_s)
         return device
-    if config.environment in SAMPLES.found:
+    if config.package_sample is not None:
         return _read_by_cantilever(config, config.to_sample_params())
     if config.environment == "spring":
         return _read_by_cantilever(config, config.to_spring_params())

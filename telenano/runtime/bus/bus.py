@@ -10,6 +10,7 @@ from typing import Any, NamedTuple, Protocol
 import zmq
 
 from telenano.runtime.bus.publisher import FIRST_THREAD, SEND_HIGH_WATER_MARK, Publisher
+from telenano.runtime.bus.socket_monitor import end_monitor
 from telenano.timing.clock import NEVER_NS, Clock
 from telenano.wire import TOPICS
 from telenano.wire.codec import MAX_MESSAGE_BYTES, WireError, accept, read_whole_header
@@ -300,7 +301,7 @@ class Subscriber(MessageReader):
         self.socket.subscribe(topic.encode())
 
     def hear_beacon(self, topic: str) -> None:
-        """Subscribe to a topic only to count its messages, which tells `Hearing` that a publisher is heard."""
+        """Subscribe to a topic only to count its messages, which tells that a publisher is heard."""
         self._unlisted = topic
         self.set_aside(topic, lambda message: None)
 
@@ -312,6 +313,7 @@ class Subscriber(MessageReader):
 
     def close(self) -> None:
         """Close the socket."""
+        end_monitor(self.socket)
         self.socket.close()
 
 
@@ -348,7 +350,7 @@ class Refusals(Protocol):
 
 
 class NetworkEvents(Refusals, Protocol):
-    """The events of the network connections of a bus; `has_pending` tells whether some are not processed yet."""
+    """The events of the connections of a bus; `has_pending` tells whether some are not processed yet."""
 
     has_pending: bool
 
@@ -395,13 +397,13 @@ class ZmqBus:
         self.look_after(network)
 
     def look_after(self, network: NetworkEvents | None) -> None:
-        """Also process the network events of this process, whose sockets are all open by now."""
-        # A rig on one machine has no network connections.
-        if network is None or not network.descriptors:
+        """Also process the events of the connections of this process, whose sockets are all open by now."""
+        if network is None:
             return
         self._network, self._network_descriptors = network, frozenset(network.descriptors)
         self._descriptors += self._network_descriptors
-        self._events_pending = True
+        # Connections within this machine have no descriptors here: their events wait for a report.
+        self._events_pending = bool(self._network_descriptors)
         self.count(network)
 
     def receive(self) -> Iterable[Received]:
@@ -446,12 +448,12 @@ class ZmqBus:
         return bool(self._readable)
 
     def process_events(self, *, now: bool = False) -> Sequence[ConnectionEvent]:
-        """Process events of network connections if some may be pending, or if `now` is set; return the notices."""
+        """Process events of connections if some may be pending, or if `now` is set; return the notices."""
         if self._network is None or not (self._events_pending or now):
             return ()
         notices = self._network.process_events()
         self._events_pending = self._network.has_pending
-        return notices
+        return notices or ()
 
     def input_health(self) -> tuple[InputHealth, ...]:
         """Return the sequence statistics of the inputs, at most as many as fit into a message."""

@@ -1,266 +1,225 @@
-"""Checks whether this process receives from the publishers on its machine, and reconnects to one that it does not hear.
+"""Checks whether this process receives from the publishers that it reads, and reconnects to one that it does not hear.
 
-libzmq drops a connection for good and without a report if the peer breaks the protocol, such as by a frame that is too
-large; only silence shows it. Every node sends node/health twice a second, and each reader subscribes to it. If two
-checks in a row find nothing new from a publisher whose socket answers, this module opens a second connection, the
-probe. If messages arrive by the probe and none by the first connection, the reader was deaf, and reconnects. If none
-arrive by either, the publisher itself is silent, and the connection stays as it is, with the messages queued in it.
+There is one rule for every connection (`socket_monitor.py` has its reason): a connection that has ended, and that
+libzmq has not begun again, is made again. Where nothing protects the bytes on the way, a connection that is up and
+brings no valid message counts as ended as well. A connection to this machine is made again at the second look; if the
+publisher was there all the time, this process was deaf to it, and reports that and its end.
 
-A console connects for a command and leaves, so it may break a connection and leave nothing to hear. A change of the
-folder of sockets shows that a process has come or gone: then readers reconnect to absent publishers, where no message
-can be lost by it.
-
-No thread is needed: a check takes microseconds, and a loop makes one with each report of its health. Safety does not
+No thread is needed: a look takes microseconds, and a loop makes one with each report of its health. Safety does not
 rely on any of this: a device acts on the age of its newest input.
 """
 
-import contextlib
+import errno
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import ClassVar, Generic, TypeVar
 
 import zmq
 
 from telenano.runtime.bus.address_book import may_carry
-from telenano.runtime.bus.bus import LARGEST_FRAME, ConnectionEvent, Subscriber, split_frames
-from telenano.runtime.bus.local_endpoint import is_bound, path_of
-from telenano.runtime.bus.publisher import FIRST_THREAD
+from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
+from telenano.runtime.bus.socket_monitor import LOCAL_ENDS, Connection, Monitor, MonitorEvent
 from telenano.timing.clock import Clock
-from telenano.wire.codec import WireError, accept
 from telenano.wire.messages import MAX_KEYS
+from telenano.wire.nodes import is_visitor
 
 # The topic that every node sends twice a second.
 BEACON = "node/health"
-# Least time between two checks, below the interval of the beacon and of the reports of a loop [ns].
-_LOOK_NS = 400_000_000
-# A publisher that was not heard at this number of checks in a row gets a probe.
-_SILENT_LOOKS = 2
-# Number of checks between a reconnection that did not help and the next one: at first, and, as it doubles, at most.
-_FIRST_PAUSE, _LONGEST_PAUSE = 2, 128
-# A change of a folder counts as new for this number of checks, because a further one may have the same time stamp.
-_FRESH_LOOKS = 2
-# Messages that a probe queues and reads at once: enough to know that the publisher sends; the rest may be dropped.
-_PROBED = 20
+# A connection that is up and has brought no valid message at this number of looks in a row is replaced. If that does
+# not help, the number doubles up to the most. Looks are counted instead of time, because a process that stood still has
+# messages left to read.
+_SILENT_LOOKS, _MOST_SILENT_LOOKS = 3, 192
 
 
-@dataclass
-class _Folder:
-    """A folder of sockets: time of its last change [ns], and the number of checks for which it still counts as new."""
+@dataclass(kw_only=True)
+class NodeConnection(Connection):
+    """A connection to a node; times on the monotonic clock [ns].
 
-    path: Path
-    changed_ns: int = -1
-    fresh: int = 0
-
-    def look(self) -> None:
-        try:
-            changed_ns = self.path.stat().st_mtime_ns
-        except OSError:
-            changed_ns = 0
-        self.fresh = _FRESH_LOOKS if changed_ns != self.changed_ns else max(0, self.fresh - 1)
-        self.changed_ns = changed_ns
-
-
-@dataclass
-class _Ear:
-    """The connection of a reader to one publisher.
-
-    `heard` is the number of messages received by it, and `heard_ns` the time when a check last found new ones [ns].
-    `there` identifies the socket at the endpoint at the last check without new messages; `probe` is the second
-    connection. `wait` is the number of checks to skip before the next reconnection, and `pause` that after it.
+    `since_ns`: time of its last beginning or end. `detached`: the socket has no connection to the endpoint until it is
+    made again. `is_deaf`: the publisher was there, and libzmq had given the connection up. `heard` is the number of
+    messages received from the node, and `silent` that of looks since it last rose; at `most_silent` of them the
+    connection is replaced.
     """
 
     node: str
-    endpoint: str
-    folder: _Folder
-    heard_ns: int
-    heard: int = 0
-    silent_looks: int = 0
-    was_there: bool = False
-    there: tuple[int, int] | None = None
+    since_ns: int
+    detached: bool = False
     is_deaf: bool = False
-    probe: "zmq.Socket[bytes] | None" = None
-    pause: int = _FIRST_PAUSE
-    wait: int = 0
-    path: Path = field(init=False)
+    heard: int = 0
+    silent: int = 0
+    most_silent: int = _SILENT_LOOKS
 
-    def __post_init__(self) -> None:
-        self.path = path_of(self.endpoint)
 
-    def socket_there(self) -> tuple[int, int] | None:
-        """Return inode number and change time [ns] of the socket at the path; None if no process holds one."""
+C = TypeVar("C", bound=NodeConnection)
+
+
+class Connections(Generic[C]):
+    """The connections of a subscriber to nodes, which share its socket."""
+
+    # Events of libzmq by which the connections are followed, and number of looks after which one is made again.
+    _events_wanted: ClassVar[int] = LOCAL_ENDS
+    _looks: ClassVar[int] = 2
+    # Whether a connection that is up and silent is replaced.
+    _replaces_silent = False
+
+    def __init__(self, subscriber: Subscriber, clock: Clock, connections: list[C]) -> None:
+        """Follow the connections of a subscriber from now on."""
+        self.subscriber = subscriber
+        self.connections = connections
+        self.monitor = Monitor(subscriber.socket, self._events_wanted)
+        self._clock = clock
+        self._events: list[ConnectionEvent] = []
+
+    @property
+    def sockets(self) -> list["zmq.Socket[bytes]"]:
+        """The sockets for whose events a loop wakes up: none, because connections of this machine wait for a look."""
+        return []
+
+    def close(self) -> None:
+        """Close the monitor; the owner of the subscriber closes that."""
+        self.monitor.close()
+
+    def process_events(self) -> bool:
+        """Update the state of the connections from monitor events; return True if more events are pending."""
+        for event in self.monitor.events():
+            connection = self._find(event.endpoint)
+            # An event of a connection that this process has let go may come late.
+            if connection is not None and not connection.detached:
+                self._record(connection, event)
+        return self.monitor.has_pending
+
+    def take_events(self) -> list[ConnectionEvent]:
+        events, self._events = self._events, []
+        return events
+
+    def apply_permissions(self) -> None:
+        """Do nothing: connections of this machine need no keys."""
+
+    def look(self, now_ns: int) -> None:
+        """Make connections again that libzmq has given up, or that are silent where that has a meaning."""
+        # Disconnecting drops messages that were not read yet, such as the last ones of a node, so all are read before.
+        if not self.subscriber.drained:
+            return
+        if self._replaces_silent:
+            self._end_silent()
+        due = [connection for connection in self.connections if connection.look() >= self._looks]
+        deaf = [connection for connection in due if connection.is_given_up(self._looks)]
+        # All ended connections are let go before any is made again, because libzmq identifies one that it has dropped
+        # by an address in memory, which the next connection may reuse.
+        for connection in self.connections if due else ():
+            if connection.ended:
+                self._let_go(connection)
+        for connection in deaf:
+            self._note_deaf(connection, now_ns)
+        for connection in due:
+            connection.begin()
+            connection.detached = False
+            self.subscriber.socket.connect(connection.endpoint)
+            # The call may have consumed the signal of the descriptor, for which a loop would wait.
+            self.subscriber.drained = False
+
+    def _record(self, connection: C, event: MonitorEvent) -> None:
+        was_up, now_ns = connection.up, self._clock.monotonic_ns()
+        connection.record(event.kind)
+        if was_up and not connection.up:
+            connection.since_ns = now_ns
+        if connection.up and connection.is_deaf:
+            connection.is_deaf = False
+            silent_s = (now_ns - connection.since_ns) * 1e-9
+            text = f"messages of {connection.node} arrive again after {silent_s:.1f} s"
+            self._report("info", text, connection, "up", silent_s=silent_s)
+
+    def _note_deaf(self, connection: C, now_ns: int) -> None:
+        if not connection.is_deaf:
+            connection.is_deaf = True
+            silent_s = (now_ns - connection.since_ns) * 1e-9
+            silence = f"received nothing from {connection.node} for {silent_s:.1f} s, although it runs"
+            text = f"{silence}: connected again to {connection.endpoint}"
+            self._report("warning", text, connection, "deaf", silent_s=silent_s)
+
+    def _end_silent(self) -> None:
+        """End each connection that is up but brings no valid message; it is made again at this look."""
+        received: Counter[str] = Counter()
+        for (_, src), tracker in self.subscriber.trackers.items():
+            received[src] += tracker.received + tracker.duplicates
+        for connection in self.connections:
+            heard = sum(count for src, count in received.items() if may_carry(connection.node, src))
+            if heard != connection.heard:
+                connection.heard, connection.silent, connection.most_silent = heard, 0, _SILENT_LOOKS
+            elif connection.up and not is_visitor(connection.node):
+                connection.silent += 1
+        silent = [each for each in self.connections if each.up and each.silent >= each.most_silent]
+        if silent and not self.subscriber.pending():
+            for connection in silent:
+                self._note_silent(connection)
+                connection.up, connection.ended, connection.looks = False, True, self._looks
+                connection.silent, connection.most_silent = 0, min(2 * connection.most_silent, _MOST_SILENT_LOOKS)
+        elif silent:
+            # That call may have consumed the signal of the descriptor.
+            self.subscriber.drained = False
+
+    def _note_silent(self, connection: C) -> None:
+        """Report that a connection is up and brings nothing."""
+
+    def _let_go(self, connection: C) -> None:
+        """Disconnect from an endpoint, unless libzmq has already done so after a violation of the protocol."""
+        if connection.detached:
+            return
+        connection.detached = True
         try:
-            status = self.path.stat()
-        except OSError:
-            return None
-        # While there is a probe, `is_bound` is not called: it would fill the connection queue of a stopped process.
-        if self.probe is None and not is_bound(self.endpoint):
-            return None
-        return status.st_ino, status.st_ctime_ns
+            self.subscriber.socket.disconnect(connection.endpoint)
+        except zmq.ZMQError as error:
+            if error.errno != errno.ENOENT:
+                raise
 
-    def hears_by_probe(self) -> bool:
-        """Return whether a valid message of the publisher has arrived by the probe."""
-        if self.probe is None:
-            return False
-        with contextlib.suppress(zmq.Again):
-            for _ in range(_PROBED):
-                frames = self.probe.recv_multipart(zmq.DONTWAIT)
-                with contextlib.suppress(WireError):
-                    if may_carry(self.node, accept(*split_frames(frames)).src):
-                        return True
-        return False
+    def _find(self, endpoint: str) -> C | None:
+        """Return the connection of an endpoint as libzmq reports it, None if there is none.
 
-    def close_probe(self) -> None:
-        if self.probe is not None:
-            self.probe.close(0)
-            self.probe = None
+        libzmq may have resolved a host name to an address. The port then identifies the connection, because all these
+        nodes are on one machine with one address.
+        """
+        exact = [each for each in self.connections if each.endpoint == endpoint]
+        port = endpoint.rpartition(":")[2]
+        same_port = (each for each in self.connections if each.endpoint.rpartition(":")[2] == port)
+        return next(iter(exact or same_port), None)
 
-    def event(self, level: str, text: str, state: str, silent_s: float) -> ConnectionEvent:
-        facts: dict[str, bool | float | str] = {"peer": self.node, "endpoint": self.endpoint}
-        return ConnectionEvent(level, text, {**facts, "connection": state, "silent_s": silent_s})
+    def _report(self, level: str, text: str, connection: C, state: str, **data: float) -> None:
+        facts: dict[str, bool | float | str] = {"peer": connection.node, "endpoint": connection.endpoint}
+        self._events.append(ConnectionEvent(level, text, {**facts, "connection": state, **data}))
+
+
+class LocalConnections(Connections[NodeConnection]):
+    """The connections of a subscriber to nodes of its machine."""
+
+    def __init__(self, endpoints: Mapping[str, str], subscriber: Subscriber, clock: Clock) -> None:
+        """Connect a subscriber to the ipc endpoints (values) of nodes (keys)."""
+        now_ns = clock.monotonic_ns()
+        made = [NodeConnection(endpoint, node=node, since_ns=now_ns) for node, endpoint in endpoints.items()]
+        super().__init__(subscriber, clock, made)
+        for endpoint in endpoints.values():
+            subscriber.socket.connect(endpoint)
 
 
 class Hearing:
-    """The connections of one process to publishers on its machine."""
+    """All connections of one process to publishers."""
 
-    def __init__(self, context: "zmq.Context[zmq.Socket[bytes]]", clock: Clock) -> None:
-        """Begin without connections to check."""
-        self._context, self._clock = context, clock
-        self._ears: dict[Subscriber, list[_Ear]] = {}
-        self._folders: dict[Path, _Folder] = {}
-        self._next_look_ns = clock.monotonic_ns() + _LOOK_NS
+    def __init__(self, clock: Clock) -> None:
+        """Begin without connections."""
+        self._clock = clock
+        self.readers: list[Connections[NodeConnection]] = []
 
-    def add(self, subscriber: Subscriber, endpoints: Mapping[str, str]) -> None:
-        """Check the connections of a subscriber to nodes (keys) at their ipc endpoints (values) from now on.
-
-        A subscriber that does not read the beacon is subscribed to it in addition.
-        """
-        if BEACON not in subscriber.topics:
-            subscriber.hear_beacon(BEACON)
-        now_ns = self._clock.monotonic_ns()
-        ears = self._ears.setdefault(subscriber, [])
-        for node, endpoint in endpoints.items():
-            parent = path_of(endpoint).parent
-            folder = self._folders.setdefault(parent, _Folder(parent))
-            ears.append(_Ear(node, endpoint, folder, now_ns))
-
-    def nodes(self) -> list[str]:
-        """Return the publishers whose connections are checked, sorted."""
-        return sorted({ear.node for ears in self._ears.values() for ear in ears})
+    def look(self, now_ns: int) -> None:
+        """Look after the connections of every reader that is open."""
+        for reader in self.readers:
+            if not reader.subscriber.socket.closed:
+                reader.look(now_ns)
 
     def deaf(self) -> dict[str, float]:
-        """Return the publishers that send but are not heard, each with the time since it was last heard [s]."""
+        """Return the publishers that run but are not heard, each with the time since its connection was lost [s]."""
         now_ns = self._clock.monotonic_ns()
-        deaf = [ear for ears in self._ears.values() for ear in ears if ear.is_deaf]
-        return {ear.node: (now_ns - ear.heard_ns) * 1e-9 for ear in deaf[:MAX_KEYS]}
+        deaf = [each for each in self._all() if each.is_deaf]
+        return {each.node: (now_ns - each.since_ns) * 1e-9 for each in deaf[:MAX_KEYS]}
 
-    def look(self) -> list[ConnectionEvent]:
-        """Check which publishers were heard since the last check, and reconnect where needed; return the events."""
-        now_ns = self._clock.monotonic_ns()
-        if now_ns < self._next_look_ns:
-            return []
-        self._next_look_ns = now_ns + _LOOK_NS
-        events: list[ConnectionEvent] = []
-        for folder in self._folders.values():
-            folder.look()
-        for subscriber, ears in self._ears.items():
-            if not subscriber.socket.closed:
-                events += self._look_at(subscriber, ears, now_ns)
-        return events
-
-    def close(self) -> None:
-        """Close the probes."""
-        for ears in self._ears.values():
-            for ear in ears:
-                ear.close_probe()
-
-    def _look_at(self, subscriber: Subscriber, ears: Sequence[_Ear], now_ns: int) -> list[ConnectionEvent]:
-        events: list[ConnectionEvent] = []
-        received: Counter[str] = Counter()
-        for (_, src), tracker in subscriber.trackers.items():
-            received[src] += tracker.received + tracker.duplicates
-        silent = []
-        for ear in ears:
-            heard = sum(count for src, count in received.items() if may_carry(ear.node, src))
-            if heard == ear.heard:
-                silent.append(ear)
-            else:
-                ear.heard = heard
-                events += _note_heard(ear, now_ns)
-        # If messages wait, as after a stall of this process, they are read first, and nothing is concluded yet.
-        if silent and not subscriber.pending():
-            for ear in silent:
-                events += self._listen_beside(subscriber, ear, now_ns)
-        if silent:
-            # A call on the socket may have consumed the signal of its descriptor, for which a loop would wait.
-            subscriber.drained = False
-        return events
-
-    def _listen_beside(self, subscriber: Subscriber, ear: _Ear, now_ns: int) -> Sequence[ConnectionEvent]:
-        """Act on a publisher from which nothing new has arrived: open a probe, or reconnect; return the events."""
-        ear.silent_looks += 1
-        before, ear.there = ear.there, ear.socket_there()
-        if ear.silent_looks < _SILENT_LOOKS:
-            return ()
-        if ear.there is None:
-            ear.close_probe()
-            ear.is_deaf, ear.pause, ear.wait, ear.heard_ns = False, _FIRST_PAUSE, 0, now_ns
-            if ear.was_there or ear.folder.fresh:
-                ear.was_there = False
-                _connect_anew(subscriber, ear)
-            return ()
-        ear.was_there = True
-        if ear.there != before:
-            # This socket is new since the last check, so no messages from it could be expected before.
-            ear.close_probe()
-            ear.is_deaf, ear.silent_looks, ear.heard_ns = False, 1, now_ns
-            return ()
-        if ear.probe is None:
-            ear.probe = self._connected_beside(subscriber, ear)
-            return ()
-        if ear.wait:
-            ear.wait -= 1
-            return ()
-        # If a message is pending at this moment, both connections work.
-        if not ear.hears_by_probe() or subscriber.pending():
-            return ()
-        _connect_anew(subscriber, ear)
-        ear.close_probe()
-        ear.silent_looks, ear.wait, ear.pause = 0, ear.pause, min(2 * ear.pause, _LONGEST_PAUSE)
-        if ear.is_deaf:
-            return ()
-        ear.is_deaf = True
-        silent_s = (now_ns - ear.heard_ns) * 1e-9
-        silence = f"received nothing from {ear.node} for {silent_s:.1f} s, although it sends"
-        text = f"{silence}: connected again to {ear.endpoint}"
-        return (ear.event("warning", text, "deaf", silent_s),)
-
-    def _connected_beside(self, subscriber: Subscriber, ear: _Ear) -> "zmq.Socket[bytes]":
-        probe = self._context.socket(zmq.SUB)
-        probe.set(zmq.AFFINITY, FIRST_THREAD)
-        probe.set(zmq.RCVHWM, _PROBED)
-        probe.set(zmq.LINGER, 0)
-        probe.set(zmq.MAXMSGSIZE, LARGEST_FRAME)
-        for topic in {*subscriber.topics, BEACON}:
-            probe.subscribe(topic.encode())
-        probe.connect(ear.endpoint)
-        return probe
-
-
-def _note_heard(ear: _Ear, now_ns: int) -> Sequence[ConnectionEvent]:
-    silent_s = (now_ns - ear.heard_ns) * 1e-9
-    was_deaf = ear.is_deaf
-    ear.heard_ns, ear.silent_looks, ear.was_there, ear.is_deaf = now_ns, 0, True, False
-    ear.pause, ear.wait = _FIRST_PAUSE, 0
-    ear.close_probe()
-    if not was_deaf:
-        return ()
-    return (ear.event("info", f"messages of {ear.node} arrive again after {silent_s:.1f} s", "up", silent_s),)
-
-
-def _connect_anew(subscriber: Subscriber, ear: _Ear) -> None:
-    """Reconnect the socket to this one endpoint; its other connections and their queued messages stay as they are."""
-    with contextlib.suppress(zmq.ZMQError):
-        # libzmq may have dropped the endpoint already.
-        subscriber.socket.disconnect(ear.endpoint)
-    subscriber.socket.connect(ear.endpoint)
+    def _all(self) -> Iterator[NodeConnection]:
+        return (connection for reader in self.readers for connection in reader.connections)

@@ -9,6 +9,7 @@ import zmq
 
 from telenano.runtime.bus.endpoint_lock import EndpointLock
 from telenano.runtime.bus.ipc_listener import IpcListener
+from telenano.runtime.bus.socket_monitor import end_monitor
 from telenano.settings.package_topics import row_of
 from telenano.timing.clock import Clock
 from telenano.wire import TOPICS, compose
@@ -153,6 +154,7 @@ class ZmqPublisher(_NumberingPublisher):
 
     def close(self) -> None:
         """Close the socket and release the endpoint."""
+        end_monitor(self.socket)
         self.socket.close()
         if self._listener is not None:
             self._listener.remove()

@@ -113,7 +113,7 @@ class InputJournal:
     def publish(self) -> bool:
         """Send the next complete batch; return whether there are more."""
         if self._complete:
-            batch = self._complete.popleft()
+            batch = self._complete[0]
             arrays = (batch.kind, batch.time_ns, batch.input, batch.number, np.frombuffer(batch.state, dtype=np.uint8))
             kind, time_ns, place, number, state = (Array.from_numpy(np.asarray(column)) for column in arrays)
             self._node.publish(
@@ -128,6 +128,8 @@ class InputJournal:
                 number=number,
                 state=state,
             )
+            # A batch that could not be sent is sent with the next one.
+            self._complete.popleft()
         return bool(self._complete)
 
     def _begin(self) -> None:

@@ -29,19 +29,23 @@ def keep(path: Path, payload: bytes) -> str:
 
 
 def kept(path: Path) -> bytes | None:
-    """Return the kept stop, None if there is none, b"" if the file cannot be read.
+    """Return the kept stop, None if there is none, b"" if there is a file that cannot be read.
 
     Raises:
         NotRegularError: The path is a pipe, a socket, a device or a link, so it is no kept stop; `keep` replaces it.
         IsADirectoryError: The path is a folder, which `keep` cannot replace.
+        OSError: Whether there is a file is not known, as on a broken disk.
     """
     try:
         return read_regular(path, _LARGEST, follows_links=False)
     except FileNotFoundError:
         return None
-    except (NotRegularError, IsADirectoryError):
-        raise
+    except (NotRegularError, IsADirectoryError) as error:
+        reason = f"{path}: {error.strerror}: no emergency stop is kept there; remove it"
+        raise type(error)(error.errno, reason) from error
     except OSError:
+        # This needs no descriptor and reads nothing, so a file is found even by a process that cannot open it.
+        path.lstat()
         return b""
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from telenano.recording.disk import OWN_DISK, Disk
+from telenano.runtime.bus.open_files import descriptor_limit, open_descriptors
 
 _STATM = Path("/proc/self/statm")
 
@@ -58,6 +59,8 @@ class OwnMachine:
             "pid": os.getpid(),
             "cpu_percent": 100.0 * max(0.0, processor_s) / elapsed_s,
             "memory_bytes": resident_bytes(),
+            "open_files": open_descriptors(),
+            "most_open_files": descriptor_limit(),
         }
 
 

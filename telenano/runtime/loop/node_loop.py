@@ -2,16 +2,14 @@
 
 import signal
 import socket
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from types import FrameType
-from typing import Any, cast
+from typing import cast
 
-from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.loop.commands import STALL_NS, CommandHandler, stop_of
-from telenano.runtime.loop.deadlines import LatenessWindow
 from telenano.runtime.loop.deferred import Deferred, Task
+from telenano.runtime.loop.housekeeping import Housekeeping, named
 from telenano.runtime.loop.journal import DEADLINE, DEFERRED, InputJournal
-from telenano.runtime.loop.log import RateLimitedLog
 from telenano.runtime.loop.node import HEALTH_PERIOD_NS, Node, NodeBus
 from telenano.runtime.loop.realtime import RealtimeStatus
 from telenano.settings.plugins import fault_of_package
@@ -20,8 +18,7 @@ from telenano.timing.freshness import LOOP_DEADLINE_NS
 from telenano.wire import TOPICS, encode
 from telenano.wire.codec import WireError, accept
 from telenano.wire.errors import described
-from telenano.wire.messages import SUPERSEDED, NodeHealth, SessionControl
-from telenano.wire.nodes import DEVICES
+from telenano.wire.messages import NodeHealth, SessionControl
 from telenano.wire.received import Received
 from telenano.wire.sequence import Arrival
 
@@ -56,11 +53,9 @@ class NodeLoop:
             note_alive: Called with each report of health.
         """
         self.node = node
-        self._note_alive = note_alive
         self._starting_period_ns = starting_period_ns
         self._bus = bus
         self._clock = node.context.clock
-        self._realtime = realtime
         self._commands = CommandHandler(
             node.context.key,
             node.commands,
@@ -72,21 +67,16 @@ class NodeLoop:
             token=node.context.machine.token,
         )
         self._places = node.context.places
-        self._hearing = node.context.hearing
-        self._stop_signalled = self._stopped_for_place = False
+        self._stop_signalled = False
         # The file of a kept stop is checked at the start, after each stall of the process, and twice a second: its
         # sender may have ended before it could send the stop.
         self._may_be_kept = True
-        self._told_of_file = False
-        self._lateness = LatenessWindow()
-        self._limited_log = RateLimitedLog(node.context.log, self._clock)
-        self._started_ns = self._awake_ns = self._health_ns = self._last_health_ns = self._clock.monotonic_ns()
+        self._housekeeping = Housekeeping(node, bus, realtime, note_alive, self._stop_now)
+        self._attempt, self._lateness = self._housekeeping.attempt, self._housekeeping.lateness
+        self._started_ns = self._awake_ns = self._health_ns = self._clock.monotonic_ns()
         self._deferred = node.context.deferred
         self._journal = InputJournal(node, bus.sequence_numbers) if node.journalled else None
-        self._machine = node.context.machine
-        self._last_cpu_s, self._receives_all = self._machine.processor_time_s(), False
-        self._health: dict[str, Any] = {}
-        self._last_steps = self._rejected_seen = self._own_stops = 0
+        self._own_stops = 0
 
     def run(self) -> None:
         """Run until a stop is requested; then make the node safe, also after an error."""
@@ -127,10 +117,10 @@ class NodeLoop:
     #   |
     #  _take_kept_stop    an emergency stop kept in a file comes before all waiting messages
     #  _take              each message: admits -> on_message -> CommandHandler -> journal
-    #  process_events     connections to other machines that were made, lost or refused
+    #  _housekeeping      connections to other machines that were made, lost or refused
     #  _act_on_deadline   if the deadline has come: on_deadline -> journal
     #  note_event         tells the deferred tasks whether other processes work on the tick now
-    #  _defer_report      twice a second: node/health and the batch of the journal become deferred tasks
+    #  _defer_report      twice a second: the housekeeping and the batch of the journal become deferred tasks
     #  _run_deferred      the tasks that fit before the next message
     #  _end_batch         if the journal is full
     #   |
@@ -146,8 +136,7 @@ class NodeLoop:
         if self._may_be_kept:
             self._take_kept_stop()
         taken = self._take(woken)
-        if notices := self._bus.process_events():
-            self._report_connections(notices)
+        self._housekeeping.process_events()
         # A message may have moved the deadline.
         deadline = self.node.deadline_ns()
         now = self._clock.monotonic_ns()
@@ -185,15 +174,7 @@ class NodeLoop:
             self._stop_signalled = False
             self._stop_now("an emergency stop came by a signal, as where no socket of this device is reached")
         latch, now_ns = self._commands.latch, self._clock.now_ns()
-        try:
-            payload = latch.kept()
-        except OSError as error:
-            if not self._told_of_file:
-                text = f"{latch.path}: {error.strerror}: no emergency stop is kept there; remove it"
-                self.node.event("fault", "warning", text)
-            self._told_of_file = True
-            return
-        self._told_of_file = False
+        payload = self._attempt("the look for a kept emergency stop", latch.kept, None)
         if payload is None:
             return
         try:
@@ -202,7 +183,7 @@ class NodeLoop:
             control = None
         if not isinstance(control, SessionControl) or control.command != "estop":
             # An unreadable file also means that a person has stopped the node.
-            control = stop_of(self.node.kept_stop_for, now_ns, self._machine.token)
+            control = stop_of(self.node.kept_stop_for, now_ns, self.node.context.machine.token)
             payload = encode(control)
         if control.id != latch.newest_id and not self.node.has_taken_over(control.id):
             self._dispatch(Received("session/control", control, payload, now_ns, Arrival.NEXT))
@@ -212,24 +193,9 @@ class NodeLoop:
     def _stop_now(self, text: str) -> None:
         """Obey an emergency stop that was not sent as a message; `text` reports its cause."""
         now_ns = self._clock.now_ns()
-        control = stop_of(self.node.context.key, now_ns, self._machine.token)
+        control = stop_of(self.node.context.key, now_ns, self.node.context.machine.token)
         self._dispatch(Received("session/control", control, encode(control), now_ns, Arrival.NEXT))
         self.node.event("mode", "warning", text)
-
-    def _look_after_hearing(self) -> None:
-        """Reconnect to publishers that send but are not heard."""
-        if self._hearing is not None:
-            self._report_connections(self._hearing.look())
-
-    def _look_after_places(self) -> None:
-        """Make removed paths of this process again; stop a device that no stop could reach, because that failed."""
-        if self._places is None:
-            return
-        for notice in self._places.look():
-            self.node.on_place(notice)
-        if self._places.given_up and not self._stopped_for_place and self.node.context.key in DEVICES:
-            self._stop_now(f"this device has stopped, because no command could reach it: {self._places.obstacle}")
-        self._stopped_for_place = self._places.given_up
 
     def _act_on_deadline(self, now_ns: int) -> None:
         self._take_turn(now_ns, lambda: self.node.on_deadline(now_ns), DEADLINE)
@@ -247,18 +213,14 @@ class NodeLoop:
             journal.record_turn(kind)
 
     def _defer_report(self, now_ns: int) -> None:
-        """Defer the tasks of a report: measurement and sending of node/health, and the batch of the journal."""
+        """Defer the tasks of a report: the housekeeping, and the batch of the journal."""
         # A running node that receives its inputs is in a session, where each report costs time of the loop.
-        is_waited_for = self.node.state != "running" or not self._receives_all
+        is_waited_for = self.node.state != "running" or not self._housekeeping.receives_all
         starting = is_waited_for and now_ns - self._started_ns < _STARTING_NS
         self._health_ns = now_ns + (self._starting_period_ns if starting else HEALTH_PERIOD_NS)
         self._may_be_kept = True
-        if self._hearing is not None:
-            self._deferred.add(self._look_after_hearing)
-        self._deferred.add(self._measure_health)
-        self._deferred.add(self._send_health)
-        if self._places is not None:
-            self._deferred.add(self._look_after_places)
+        for task in self._housekeeping.tasks:
+            self._deferred.add(task)
         if self._journal is not None:
             self._deferred.add(self._complete_batch)
 
@@ -269,12 +231,12 @@ class NodeLoop:
                 self.run_task(task)
 
     def run_task(self, task: Deferred) -> None:
-        """Run a deferred task of this node, recorded as a turn if it is one."""
+        """Run a deferred task of this node, recorded as a turn if it is one; any other one is housekeeping."""
         begin_ns = self._clock.monotonic_ns()
         if task.is_turn:
             self._take_turn(begin_ns, task.run, DEFERRED)
         else:
-            task.run()
+            self._attempt(named(task.run), task.run, None)
         end_ns = self._clock.monotonic_ns()
         if self.node.idle_after is not None:
             self._deferred.note_run(task.run, begin_ns, end_ns, met=self._bus.has_arrived())
@@ -306,47 +268,12 @@ class NodeLoop:
 
     def publish_health(self) -> None:
         """Send node/health and the journal, and start a new interval."""
-        self._measure_health()
-        self._send_health()
+        for task in (self._housekeeping.measure_health, self._housekeeping.send_health, self._end_journal):
+            self._attempt(named(task), task, None)
+
+    def _end_journal(self) -> None:
         if self._journal is not None:
             self._journal.end()
-
-    def _measure_health(self) -> None:
-        """Measure the fields of node/health, and begin a new interval."""
-        now_ns = self._clock.monotonic_ns()
-        self._report_connections(self._bus.process_events(now=True))
-        self._report_rejections()
-        elapsed_s = max(now_ns - self._last_health_ns, 1) * 1e-9
-        cpu_s = self._machine.processor_time_s()
-        p50, p99, greatest = self._lateness.take()
-        rejected, _ = self._bus.rejections()
-        if self.node.stale:
-            rejected["stale"] = self.node.stale
-        self._health = {
-            "state": self.node.state,
-            "uptime_s": (now_ns - self._started_ns) * 1e-9,
-            "rate_hz": (self.node.steps - self._last_steps) / elapsed_s,
-            "period_s": self.node.period_s,
-            "lateness_p50_s": p50,
-            "lateness_p99_s": p99,
-            "lateness_max_s": greatest,
-            "overruns": self.node.overruns,
-            "rejected": rejected,
-            "realtime": self._realtime.fifo,
-            "memory_locked": self._realtime.memory_locked,
-            "replay": self.node.replay,
-            "inputs": self._bus.input_health(),
-            **self.node.device_health(),
-            **self._machine.health(cpu_s - self._last_cpu_s, elapsed_s),
-        }
-        if self._hearing is not None and (deaf := self._hearing.deaf()):
-            self._health["deaf_s"] = deaf
-        self._receives_all = all(row.age_valid or not TOPICS[row.topic].rate_hz for row in self._health["inputs"])
-        self._last_steps, self._last_cpu_s, self._last_health_ns = self.node.steps, cpu_s, now_ns
-
-    def _send_health(self) -> None:
-        self._note_alive()
-        self.node.publish("node/health", **self._health)
 
     def _note_awake(self) -> int:
         """Return the monotonic time [ns]; record a stall if the last call is longer ago than a command is valid."""
@@ -384,21 +311,10 @@ class NodeLoop:
             return taken
         return [received._replace(received_ns=now_ns + self._clock.epoch_offset_ns) for received in taken]
 
-    def _report_connections(self, notices: Sequence[ConnectionEvent]) -> None:
-        for notice in notices:
-            self.node.context.publish_event("network", notice.level, notice.text, notice.data)
-
     def _report_gap(self, received: Received) -> None:
         source = received.message.src
         text = f"{received.topic}: messages from {source} were lost before number {received.message.seq}"
         self.node.event("fault", "warning", text, topic=received.topic, source=source, seq=received.message.seq)
-
-    def _report_rejections(self) -> None:
-        rejected, last = self._bus.rejections()
-        total = sum(rejected.values()) - rejected.get(SUPERSEDED, 0)
-        if total > self._rejected_seen:
-            self._limited_log.warning("rejected", f"refused: {last}", count=total - self._rejected_seen)
-            self._rejected_seen = total
 
 
 def install_stop_signals(stop: Callable[[], None]) -> int:

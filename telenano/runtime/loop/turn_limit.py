@@ -14,6 +14,7 @@ import os
 import signal
 import time
 from collections.abc import Callable
+from io import FileIO
 from pathlib import Path
 from types import FrameType
 
@@ -37,6 +38,9 @@ class TurnLimit:
     def __init__(self, whose: Callable[[], str], tell: Callable[[str], None]) -> None:
         self._whose, self._tell = whose, tell
         self._could_run_s = self._at_s = self._waited_s = 0.0
+        # The file stays open: in a turn there may be no descriptor left, and a wait for a processor must not pass for a
+        # turn that does not end.
+        self._schedstat = _opened(_SCHEDSTAT)
         if SIGNAL is not None:
             signal.signal(SIGNAL, signal.SIG_DFL)
             signal.signal(signal.SIGALRM, self._tick)
@@ -55,7 +59,10 @@ class TurnLimit:
             signal.setitimer(signal.ITIMER_REAL, 0.0)
 
     def _tick(self, number: int, frame: FrameType | None) -> None:
-        now_s, waited_s = time.monotonic(), waited_for_processor_s()
+        now_s, waited_s = time.monotonic(), waited_for_processor_s(self._schedstat)
+        if waited_s is None:
+            # Whether the process could run is not known; the processor time of the turn is limited all the same.
+            return
         if self._could_run_s == 0.0:
             self._could_run_s = TICK_S
         else:
@@ -69,9 +76,22 @@ class TurnLimit:
             os.kill(os.getpid(), SIGNAL)
 
 
-def waited_for_processor_s() -> float:
-    """Return the time for which the main thread of this process has waited for a processor [s]; 0 if not counted."""
+def _opened(path: Path) -> FileIO | None:
     try:
-        return int(_SCHEDSTAT.read_bytes().split()[1]) * 1e-9
-    except (OSError, IndexError, ValueError):
+        return FileIO(path)
+    except OSError:
+        return None
+
+
+def waited_for_processor_s(schedstat: FileIO | None) -> float | None:
+    """Return the time for which the main thread of this process has waited for a processor [s]; None if not known.
+
+    Args:
+        schedstat: The open file of the kernel with that time; None on a kernel that does not count it, for 0.0.
+    """
+    if schedstat is None:
         return 0.0
+    try:
+        return int(os.pread(schedstat.fileno(), 128, 0).split()[1]) * 1e-9
+    except (OSError, IndexError, ValueError):
+        return None

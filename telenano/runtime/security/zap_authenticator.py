@@ -9,15 +9,15 @@ import zmq
 
 from telenano.runtime.bus.bus import ConnectionEvent
 from telenano.runtime.bus.publisher import ZmqPublisher
-from telenano.runtime.security.access_control import AccessControl
-from telenano.runtime.security.keyring import key_text
-from telenano.runtime.security.socket_monitor import (
+from telenano.runtime.bus.socket_monitor import (
     CLOSED_IN_HANDSHAKE,
     FAILURES,
     PROTOCOL_FAILED,
     Monitor,
     RejectionCounter,
 )
+from telenano.runtime.security.access_control import AccessControl
+from telenano.runtime.security.keyring import key_text
 
 # ZeroMQ's authentication protocol (ZAP) prescribes this endpoint.
 _ZAP_ENDPOINT = "inproc://zeromq.zap.01"
@@ -104,12 +104,14 @@ class ZapAuthenticator:
         """Close the monitor that was prepared for a socket that could not bind."""
         monitor = self._monitors.pop(node, None)
         if monitor is not None:
-            monitor.socket.close()
+            monitor.close()
 
     def close(self) -> None:
         """Close the sockets of the ZAP handler and the monitors, which closing the publishers does not close."""
-        for socket in self.sockets:
-            socket.close()
+        if self.socket is not None:
+            self.socket.close()
+        for bound in self.endpoints:
+            bound.monitor.close()
 
     @property
     def sockets(self) -> list["zmq.Socket[bytes]"]:

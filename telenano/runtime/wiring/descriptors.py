@@ -5,52 +5,37 @@ planned sockets are added up from the address book, and a process that may not o
 `telenano up` checks all of its nodes before it starts the first (`needed_by`).
 """
 
-import sys
 from collections.abc import Sequence
-from pathlib import Path
 
-from telenano.files.optional_modules import optional_module
 from telenano.runtime.bus.address_book import AddressBook
+from telenano.runtime.bus.open_files import descriptor_limit, open_descriptors
 from telenano.wire.errors import EndpointError
 from telenano.wire.nodes import KEEPERS, LAUNCHER, LINK, NODES, PAGE, RECORDER, name_of, site_of
 
-# Windows has no such module.
-resource = optional_module("resource")
-_OPEN = Path("/dev/fd")
 # Descriptors of a ZeroMQ context: each thread has a mailbox and an epoll; the context has a mailbox, and the two of its
 # reaper thread.
 _OF_A_THREAD, _OF_A_CONTEXT = 2, 3
-# A socket of ZeroMQ has a mailbox.
-_OF_A_SOCKET = 1
+# A socket of ZeroMQ has a mailbox. A reader has two further sockets, which report the ends of its connections.
+_OF_A_SOCKET, _OF_A_READER = 1, 3
 # A bound ipc endpoint has its listener, its lock, and the open inode that identifies its file.
 _OF_AN_ENDPOINT = 3
-# Files that a node opens only for a moment: its recording or lists, a table of the kernel, and the probe by which it
-# finds that it is deaf, with its socket.
-_FOR_A_MOMENT = 5
+# Files that a node opens only for a moment: its recording or lists, a table of the kernel, and the probe whether an
+# endpoint is held.
+_FOR_A_MOMENT = 3
 # The parts of the table of nodes that run as long as the rig does.
 _PARTS = ("rig", "endpoint", "launcher")
-
-
-def open_descriptors() -> int | None:
-    """Return the number of open files of this process; None if the system does not tell."""
-    try:
-        return sum(1 for _ in _OPEN.iterdir()) - 1
-    except OSError:
-        return None
-
-
-def descriptor_limit() -> int | None:
-    """Return the limit of open files of this process; None if there is none."""
-    if resource is None or sys.platform == "win32":
-        return None
-    limit: int = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-    return None if limit == resource.RLIM_INFINITY else limit
 
 
 def descriptors_free() -> int | None:
     """Return the number of further files that this process may open; None if unknown or unlimited."""
     taken, limit = open_descriptors(), descriptor_limit()
     return None if taken is None or limit is None else limit - taken
+
+
+def descriptors_beyond(needed: int) -> int | None:
+    """Return the number of files that this process may open beyond `needed` in all; None if unlimited."""
+    limit = descriptor_limit()
+    return None if limit is None else limit - needed
 
 
 def check_descriptors(owner: str, needed: int) -> int | None:
@@ -95,7 +80,7 @@ class Descriptors:
 
     def add_reader(self, publishers: int) -> None:
         """Add a socket that connects to this number of publishers."""
-        self.needed += _OF_A_SOCKET + publishers
+        self.needed += _OF_A_READER + publishers
 
     def check(self, owner: str) -> None:
         """Raise EndpointError, which names the owner, if the sum exceeds the limit of open files."""

@@ -6,25 +6,27 @@ delay it: the interpreter makes a loop wait up to 5 ms for a busy thread.) libzm
 priority than the loop, and the kernel limits the number of connections.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import zmq
 
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import PINGING_HIGH_WATER_MARK, ConnectionEvent, Subscriber
-from telenano.runtime.bus.hearing import BEACON, Hearing
-from telenano.runtime.bus.local_endpoint import fan_out_endpoint, is_bound
+from telenano.runtime.bus.hearing import BEACON, Connections, Hearing, LocalConnections
+from telenano.runtime.bus.local_endpoint import fan_out_endpoint, is_bound, path_of
+from telenano.runtime.bus.local_readers import LocalReaders, holders_of
 from telenano.runtime.bus.places import Places
 from telenano.runtime.bus.publisher import ZmqPublisher, bind
+from telenano.runtime.bus.socket_monitor import RejectionCounter
 from telenano.runtime.loop.realtime import lower_thread
 from telenano.runtime.security.access_control import AccessControl
 from telenano.runtime.security.keyring import Keyring
 from telenano.runtime.security.peer_connections import PeerConnections
 from telenano.runtime.security.private_files import check_runtime_directory
-from telenano.runtime.security.socket_monitor import RejectionCounter
 from telenano.runtime.security.zap_authenticator import ZapAuthenticator
-from telenano.runtime.wiring.descriptors import Descriptors, readers_of
+from telenano.runtime.wiring.descriptors import Descriptors, descriptors_beyond, readers_of
 from telenano.timing.clock import Clock
 from telenano.wire.codec import WireError
 from telenano.wire.errors import ConfigError, EndpointError
@@ -182,14 +184,15 @@ class Transport:
         self._needed_files = Descriptors(int(context.get(zmq.IO_THREADS)))
         self._rejections = RejectionCounter()
         self._authenticator = ZapAuthenticator(context, self.access_control, self._rejections)
-        self._peers: list[PeerConnections] = []
         self._handlers: list[NetworkHandler] = [self._authenticator]
         self._next_check_ns = clock.monotonic_ns() + _CHECK_NS
         self._lowered = True
         # Paths by which other processes of this machine reach this one; the loop of its node checks them.
         self.places = Places(self._prepare_folder)
-        # Checks whether the publishers on this machine are heard.
-        self.hearing = Hearing(context, clock)
+        # The connections to all publishers.
+        self.hearing = Hearing(clock)
+        # The connections of other processes of this machine to this one.
+        self.local_readers = LocalReaders(self._holders, lambda: descriptors_beyond(self._needed_files.needed))
 
     @property
     def descriptors(self) -> Sequence[int]:
@@ -224,6 +227,7 @@ class Transport:
         if network is None:
             publisher = make(self.context, self.clock, key, local or "", kind=kind)
             self.places.add(publisher)
+            self.local_readers.add(local)
             return publisher
 
         def prepare(socket: "zmq.Socket[bytes]") -> None:
@@ -248,6 +252,7 @@ class Transport:
             raise
         self._authenticator.add(publisher)
         self.places.add(publisher)
+        self.local_readers.add(local)
         return publisher
 
     def subscribers(
@@ -280,14 +285,15 @@ class Transport:
 
     def reader_of(self, machine: str, readers: Sequence[Subscriber]) -> Subscriber | None:
         """Return the reader among `readers` that receives from another machine, None if there is none."""
-        return next(
-            (peers.subscriber for peers in self._peers if peers.machine == machine and peers.subscriber in readers),
-            None,
-        )
+        return next((peers.subscriber for peers in self._peers_at(machine) if peers.subscriber in readers), None)
 
     def is_connected_to(self, machine: str) -> bool:
         """Return whether some node of another machine is connected now."""
-        return any(peer.up for peers in self._peers if peers.machine == machine for peer in peers.connections)
+        return any(peer.up for peers in self._peers_at(machine) for peer in peers.connections)
+
+    def _peers_at(self, machine: str) -> Iterator[PeerConnections]:
+        readers = (reader for reader in self.hearing.readers if isinstance(reader, PeerConnections))
+        return (peers for peers in readers if peers.machine == machine)
 
     def connect_beside(self, node: str, subscriber: Subscriber) -> None:
         """Connect a second socket to a node; only the first one's connection reports its events."""
@@ -295,9 +301,7 @@ class Transport:
         _set_network_options(subscriber.socket, endpoint)
         _set_heartbeats(subscriber.socket, _LOOP_SILENCE_MS)
         parts = {node: endpoint}, subscriber, self.clock, self.access_control, RejectionCounter()
-        peers = PeerConnections(machine, *parts, is_reported=False, expects_beacon=False)
-        self._peers.append(peers)
-        self._handlers.append(peers)
+        self._follow(PeerConnections(machine, *parts, is_reported=False, expects_beacon=False))
 
     def look_after(self, handler: NetworkHandler) -> None:
         """Add a handler, whose events are processed and to which changed permissions are applied from now on."""
@@ -313,6 +317,7 @@ class Transport:
         self._needed_files.check(self.owner)
         inlet = EstopInlet(self.context, self.clock, key, endpoint)
         self.places.add(inlet)
+        self.local_readers.add(endpoint)
         return inlet
 
     def process_events(self) -> list[ConnectionEvent]:
@@ -322,11 +327,10 @@ class Transport:
         events = self._check()
         for handler in self._handlers:
             events += handler.take_events()
-        return events + self.hearing.look()
+        return events
 
     def close(self) -> None:
         """Close all sockets besides those of publishers and subscribers."""
-        self.hearing.close()
         for handler in self._handlers:
             handler.close()
 
@@ -351,23 +355,26 @@ class Transport:
             further = {node: fan_out_endpoint(endpoint) for node, endpoint in endpoints.items()}
             endpoints |= {node: endpoint for node, endpoint in further.items() if is_bound(endpoint)}
         by_endpoint = {endpoints[node]: topics for node, topics in plan.items()}
-        if not any(endpoint.startswith("tcp://") for endpoint in by_endpoint):
-            reader = Subscriber(self.context, self.clock, by_endpoint, newest_only=newest_only)
-            if hears:
-                self.hearing.add(reader, endpoints)
-            return reader
         subscriber = Subscriber(self.context, self.clock, by_endpoint, connect=False, newest_only=newest_only)
-        subscriber.socket.set(zmq.RCVHWM, PINGING_HIGH_WATER_MARK)
-        _set_network_options(subscriber.socket, *by_endpoint)
-        _set_heartbeats(subscriber.socket, silence_ms)
-        machine = self.book.machine_of(next(iter(plan)))
+        if not any(endpoint.startswith("tcp://") for endpoint in by_endpoint):
+            # Its socket is called at looks alone, after which it is read.
+            subscriber.shared = False
+            self._follow(LocalConnections(endpoints, subscriber, self.clock))
+        else:
+            subscriber.socket.set(zmq.RCVHWM, PINGING_HIGH_WATER_MARK)
+            _set_network_options(subscriber.socket, *by_endpoint)
+            _set_heartbeats(subscriber.socket, silence_ms)
+            machine = self.book.machine_of(next(iter(plan)))
+            parts = endpoints, subscriber, self.clock, self.access_control, self._rejections
+            self._follow(PeerConnections(machine, *parts, expects_beacon=hears))
         if hears and BEACON not in subscriber.topics:
             subscriber.hear_beacon(BEACON)
-        parts = endpoints, subscriber, self.clock, self.access_control, self._rejections
-        peers = PeerConnections(machine, *parts, expects_beacon=hears)
-        self._peers.append(peers)
-        self._handlers.append(peers)
         return subscriber
+
+    def _follow(self, connections: "Connections[Any]") -> None:
+        """Look after connections from now on."""
+        self.hearing.readers.append(connections)
+        self._handlers.append(connections)
 
     def _check(self) -> list[ConnectionEvent]:
         now = self.clock.monotonic_ns()
@@ -385,9 +392,16 @@ class Transport:
                     handler.apply_permissions()
         except ConfigError as error:
             events.append(ConnectionEvent("error", f"the list of keys was not reloaded: {error}", {}))
-        for peers in self._peers:
-            peers.maintain(now)
+        for closed in self.local_readers.look():
+            text = f"{closed.number} connections of process {closed.process} were closed: {closed.reason}"
+            events.append(ConnectionEvent("warning", text, {"process": closed.process, "count": closed.number}))
+        self.hearing.look(now)
         return events
+
+    def _holders(self) -> set[int]:
+        """Return the processes of this machine that are nodes of the site file."""
+        endpoints = (self.book.local_endpoint(node) for node in self.book.nodes)
+        return holders_of(Path(f"{path_of(endpoint)}.lock") for endpoint in endpoints if endpoint is not None)
 
 
 def _set_heartbeats(socket: "zmq.Socket[bytes]", silence_ms: int) -> None:

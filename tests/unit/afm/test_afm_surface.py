@@ -1,11 +1,17 @@
 """Height maps: shapes, interpolation, and what a sphere sees of them, against closed forms."""
 
+from inspect import signature
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from telenano.afm.sample.surface import checked, dots, flat, grating, height_at
+from telenano.afm.sample.surface import SHAPES, checked, dots, flat, grating, height_at
+from telenano.sections import SampleConfig
+from telenano.settings.config import keys_of
 
 NM = 1e-9
+INSTRUMENT = Path(__file__).parents[3] / "docs" / "instrument.md"
 
 
 def at(surface, x_m, y_m):
@@ -92,3 +98,14 @@ def test_dilation_never_lowers_and_leaves_coarse_and_level_maps_alone():
 def test_what_cannot_be_scanned_is_refused(heights, width, what):
     with pytest.raises(ValueError, match=what):
         checked(heights, width, 1e-7)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_a_shape_is_made_of_the_keys_of_a_sample_and_documented(name: str) -> None:
+    sample = SampleConfig.model_validate({"name": name, "size_m": 90 * NM, "pixels": 20, "dot_count": 2})
+    surface = sample.build()
+    assert (surface.height_m.shape, surface.width_m) == ((20, 20), pytest.approx(90 * NM, rel=1e-9, abs=0))
+    parameters = signature(SHAPES[name]).parameters
+    assert parameters.keys() <= keys_of(SampleConfig).keys()
+    (row,) = (line for line in INSTRUMENT.read_text("utf-8").splitlines() if line.startswith(f"| `{name}` |"))
+    assert all(f"`{key}`" in row for key in parameters.keys() - {"size_m", "pixels"})

@@ -13,6 +13,7 @@ from typing import NamedTuple
 from telenano.extend.maps import MapFormat, OverMap, Span
 from telenano.extend.samples import AfmSample
 from telenano.numerics import compiled
+from telenano.settings import FileReader
 
 class Wall(NamedTuple):
     stiffness_n_per_m: float
@@ -33,7 +34,7 @@ def span(path):
 def read(path, rest_distance_m, stiffness_n_per_m, volts_per_m):
     return OverMap(Wall(float(path.read_text()), rest_distance_m), 3.0, "", f"{path.name}: a wall")
 
-WALL = MapFormat(Wall, start, step, span, read)
+WALL = FileReader(map=MapFormat(Wall, start, step, span, read))
 """
 PROGRAM = """
 import json, sys
@@ -62,7 +63,7 @@ print(json.dumps(said))
 
 def felt(path: Path, **environment: str) -> Any:
     """Return what a process says of a map, with the packages that are installed and one of its own."""
-    install_package(path.parent, "of_walls", {"__init__.py": PACKAGE}, {"maps": {"wall": "of_walls:WALL"}})
+    install_package(path.parent, "of_walls", {"__init__.py": PACKAGE}, {"readers": {"wall": "of_walls:WALL"}})
     return said_with(PROGRAM, path.parent, str(path), **environment)
 
 
@@ -72,7 +73,7 @@ def test_a_map_of_another_format_is_felt_on_its_place(tmp_path: Path) -> None:
     path.write_text("2.0")
     found = felt(path)
     assert "refused" not in found
-    assert found["named"] == [["maps", "wall"]]
+    assert found["named"] == [["readers", "wall"]]
     assert found["places"] == [1e-7, 2e-7]
     assert found["force"] == pytest.approx(2.0 * 1e-9, rel=1e-9)
     assert found["about"].startswith("recorded map one.wall: a wall; the tip stays within x ± 1e-07 m")

@@ -191,8 +191,8 @@ def test_a_process_whose_source_was_changed_keeps_nothing(
     source = library / "a.py"
     source.write_text("x = 1\n")
     loaded_ns = max(source.stat().st_ctime_ns, source.stat().st_mtime_ns)
-    assert not source_changed(library, loaded_ns)
-    monkeypatch.setattr(kept_summary, "_places", lambda: {"a library": library})
+    assert not source_changed([source], loaded_ns)
+    monkeypatch.setattr(kept_summary, "_LIBRARY", library)
     monkeypatch.setattr(kept_summary, "_LOADED_NS", loaded_ns)
     kept = KeptSummary([recording])
     assert kept.read() is None
@@ -200,7 +200,7 @@ def test_a_process_whose_source_was_changed_keeps_nothing(
     while source.stat().st_ctime_ns <= loaded_ns:
         source.write_text("x = 2\n")
     os.utime(source, ns=(1, 1))
-    assert source_changed(library, loaded_ns)
+    assert source_changed([source], loaded_ns)
     kept.write({"a": 1})
     assert not kept.path.exists()
 

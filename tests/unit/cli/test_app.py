@@ -189,10 +189,10 @@ def test_a_recorder_without_a_rig_says_that_its_file_is_empty(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--attach", "--set", "a.b=1", "--allow-replay"), "--set, --allow-replay: --attach starts no node"),
-        (("--wait", "3"), "--wait: it acts only with --attach or --site"),
-        (("--site", "slave", "--duration", "3"), "--duration: the session is conducted at the master"),
-        (("--site", "slave", "--attach"), "--site slave: the session is conducted at the master"),
+        (("--attach", "--set", "a.b=1", "--allow-replay"), "--set, --allow-replay: not with --attach, which starts no"),
+        (("--wait", "3"), "--wait: not without --attach or --site"),
+        (("--site", "slave", "--duration", "3"), "--duration: not with --site slave"),
+        (("--site", "slave", "--attach"), "--attach: not with --site slave, where no session is conducted"),
     ],
 )
 def test_up_refuses_what_could_not_act(arguments: tuple[str, ...], words: str) -> None:

@@ -11,18 +11,14 @@ import typer
 from rich.console import Console
 from typer.testing import CliRunner
 
-from services.player.command import replay
-from services.recorder.command import record
 from telenano.cli.commands.bag import app
 from telenano.cli.output import EXIT_INCOMPLETE, closing_lines, fail_with_summary, print_summary
 from telenano.cli.tables import summary_tables
 from telenano.recording.reader import Recording
+from telenano.testing import invoke
 from telenano.wire.errors import ReportError
 
 MakeFile = Callable[..., Path]
-commands = typer.Typer()
-commands.command()(replay)
-commands.command()(record)
 
 
 def run(*arguments: str | Path, exit_code: int = 0) -> str:
@@ -91,12 +87,12 @@ def test_replay_and_record_refuse_what_cannot_be(make_file: MakeFile, tmp_path: 
     path = make_file()
 
     def fails(*arguments: str | Path) -> str:
-        result = CliRunner().invoke(commands, [str(argument) for argument in arguments])
+        result = invoke(arguments)
         assert result.exit_code in (1, 2)
         return result.stderr
 
     assert "delay_node@slave is not in the site file" in fails("replay", path, "--site-file", site)
-    assert "give one of them" in fails("replay", path, "--end", "1", "--duration", "1")
+    assert "--duration: not with --end" in fails("replay", path, "--end", "1", "--duration", "1")
     unknown = "has no message of node afm_node: known are controller@master, haptic_node@master"
     assert unknown in fails("replay", path, "--site-file", site, "--nodes", "afm_node")
     assert "--quota-policy" in fails("record", "--out", tmp_path / "x.mcap", "--quota-policy", "none")

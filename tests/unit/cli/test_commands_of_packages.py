@@ -163,11 +163,10 @@ def test_a_command_of_a_known_package_that_is_not_installed_is_named_with_what_a
 def test_packages_that_lockstep_does_not_run_change_no_digest_and_only_drivers_are_recorded(make: Any) -> None:
     def found() -> tuple[Any, ...]:
         run = plugins.in_lockstep()
-        return plugins.digest_of_all(run), plugin_facts(), plugins.modules(run), plugins.package_files(run)
+        return plugins.digest_of_all(run), plugin_facts(), plugins.parts_of(run)
 
     before = found()
     make("tool", {"rows.py": rows(greet="tool.cli:greet")}, {"commands": "tool = tool.rows:ROWS"})
-    make("stepping", {"motion.py": "X = 1"}, {"steps": "motion = stepping.motion"})
     assert found() == before
     make("laws_too", {"law.py": "LAW = 1"}, {"laws": "mine = laws_too.law:LAW", "commands": "laws_too = laws_too:X"})
     changed = found()[0]
@@ -241,7 +240,7 @@ def fail(path, images, about):
 def test_an_image_is_written_in_the_formats_of_packages_and_kept_where_one_fails(
     make: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    make("painter", {"all.py": IMAGES}, {"images": "txt = painter.all:write\nraw = painter.all:fail"})
+    make("painter", {"all.py": IMAGES}, {"exports": "image_txt = painter.all:write\nimage_raw = painter.all:fail"})
     height = Image("Height", "m", np.zeros((2, 4)), 4e-8, 2e-8)
     files = write_images(tmp_path, {"height": height}, "tapping", sample="flat")
     assert (tmp_path / "scan.txt").read_text() == "tapping flat height"

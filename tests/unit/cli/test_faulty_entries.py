@@ -2,7 +2,7 @@
 
 The faults are that its module does not exist, that the module has no such name, that its import raises, and that the
 call of what it leads to raises. Drivers, operators, samples and programs are called in a running node alone, where
-`tests/stack/test_faulty_packages.py` has them raise, and a module of compiled steps is not called by itself.
+`tests/stack/test_faulty_packages.py` has them raise.
 """
 
 import json
@@ -33,7 +33,6 @@ SAID = {
 CALLED = {
     "checks": "hollow.failing:call",
     "exports": "hollow.failing:call",
-    "images": "hollow.failing:call",
     "laws": "hollow.law:FAILING",
     "readers": "hollow.failing:READER",
     "scenarios": "hollow.failing:call",
@@ -75,15 +74,10 @@ ASKED = {
     "checks": ["doctor"],
     "advisers": ["doctor"],
     "exports": ["bag export recorded/session.mcap --out written --to {0}"],
-    "images": [],
     "readers": ["sample --out written --sample a.{0}"],
     "functions": ["doctor"],
-    "steps": ["doctor"],
     "topics": ["topic info wind/{0}"],
     "panels": ["doctor"],
-    "layers": ["doctor"],
-    "hand_sections": ["doctor"],
-    "maps": ["doctor"],
     "transports": ["doctor"],
 }
 PROGRAM = """
@@ -140,7 +134,8 @@ def install(site: Path) -> None:
         entries[kind]["failing"] = target
     # the name of a topic is two words
     entries["topics"] = {f"wind_{fault}": target for fault, target in TARGETS.items()}
-    entries["exports"]["unfinished"] = "hollow.failing:unfinished"
+    images = {f"image_{fault}": target for fault, target in entries["exports"].items()}
+    entries["exports"] |= {"unfinished": "hollow.failing:unfinished", **images}
     entries["commands"] = {"rows": "hollow.rows:ROWS", **{f"table_{name}": to for name, to in TARGETS.items()}}
     describe_package(site, "hollow", entries)
 

@@ -44,7 +44,7 @@ def test_the_version_has_a_short_option() -> None:
     [
         ("up", "no experiment is named"),
         ("run", "no experiment is named"),
-        ("up fig12 --scenario touch", "two experiments are named"),
+        ("up fig12 --scenario touch", "--scenario: not with fig12, which names the experiment"),
         ("up fig13", "did you mean fig12"),
         ("up session.mcap", "is the name of a recording"),
         ("simulate session.mcap", "is the name of a recording"),

@@ -11,13 +11,14 @@ from typer.testing import CliRunner
 
 from telenano.cli.commands import status
 from telenano.cli.root import app
-from telenano.cli.tables import health_cells
+from telenano.cli.tables import figures
 from telenano.launcher.rig_status import (
     NEEDED,
     RigStatus,
     document_of,
     expected_nodes,
     listen,
+    node_facts,
     problems_of,
     stalled_inputs,
 )
@@ -29,6 +30,7 @@ from telenano.runtime.wiring.observer import ObservedMessage, Observer
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.testing.commands import run as outcome
 from telenano.timing.clock import SystemClock
+from telenano.wire import messages
 from telenano.wire.codec import fields_of
 from telenano.wire.messages import InputHealth, Message, NodeHealth
 from telenano.wire.received import Received
@@ -44,6 +46,10 @@ RIG = [
     "recorder@master",
 ]
 SECOND_NS = 1_000_000_000
+HEADINGS = (
+    "state", "up", "rate Hz", "late p99 ms", "overruns", "input age ms", "lost", "refused", "CPU %", "MB", "files",
+    "granted",
+)  # fmt: skip
 DIRECTION = {
     "profile": "wan", "settings": {}, "messages_in": 9, "messages_out": 8, "dropped": {"loss": 3}, "duplicated": 0,
     "reordered": 0, "corrupted": 0, "queue_depth": 2, "delay_valid": True, "delay_mean_s": 0.0205, "delay_min_s": 0.02,
@@ -240,12 +246,51 @@ def test_the_facts_of_a_node() -> None:
     node = health("afm_node@slave", *inputs, rejected={"topic": 2}, overruns=7)
     [facts] = document_of(status_of(node), ["afm_node@slave"])["nodes"]
     assert facts == {
-        "node": "afm_node@slave", "heard": True, "problem": None, "state": "running", "uptime_s": 3725.0,
+        "node": "afm_node@slave", "heard": True, "problem": None, "pid": 1, "state": "running", "uptime_s": 3725.0,
         "rate_hz": 999.9, "overruns": 7, "cpu_percent": 25.0, "memory_bytes": 176_000_000, "realtime": True,
-        "memory_locked": True, "replay": False, "period_s": 0.001, "lateness_p99_s": 0.00021, "oldest_input_s": 0.002,
+        "memory_locked": True, "replay": False, "period_s": 0.001, "lateness_p50_s": 0.0, "lateness_p99_s": 0.00021,
+        "lateness_max_s": 0.0, "device_latency_s": None, "device_age_s": None, "calibration": None,
+        "force_limit_n": None, "travel_m": None, "oldest_input_s": 0.002,
         "received": 20, "lost": 4, "refused": {"topic": 2}, "deaf_s": {},
-        "shares_with": [],
+        "shares_with": [], "open_files": None, "most_open_files": None,
     }  # fmt: skip
+
+
+def test_every_field_of_a_report_is_a_fact_and_a_heading_makes_a_column_of_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    node = health("afm_node@slave", shares_with=("controller@slave",), overruns=7)
+    facts = node_facts(node.src, node, None)
+    otherwise = {"rejected", "inputs", *Message.__struct_fields__}
+    assert facts.keys() >= set(NodeHealth.__struct_fields__) - otherwise
+    # another figure of the process needs no other place
+    monkeypatch.setitem(messages.PROCESS_FIGURES, "overruns", "misses")
+    figures.cache_clear()
+    try:
+        assert [name for name in figures() if name not in HEADINGS] == ["misses"]
+        assert figures()["misses"].cell(facts).plain == "7"
+        assert (
+            figures()["misses"].cell({**facts, "node": "controller@slave", "shares_with": [node.src]}).plain == "shared"
+        )
+    finally:
+        figures.cache_clear()
+
+
+@pytest.mark.parametrize(
+    ("files", "words"),
+    [
+        ((799, 1000), None),
+        ((800, 1000), "has 800 of at most 1000 files and sockets open: `ulimit -n` raises the limit before a start"),
+        ((800, None), None),
+        ((None, 1000), None),
+    ],
+)
+def test_a_process_that_has_nearly_as_many_files_open_as_it_may_is_a_problem(
+    files: tuple[int | None, int | None], words: str | None
+) -> None:
+    node = health("afm_node@slave", open_files=files[0], most_open_files=files[1])
+    document = document_of(status_of(node), ["afm_node@slave"])
+    [facts] = document["nodes"]
+    assert (facts["problem"], document["ok"]) == (words, words is None)
+    assert figures()["files"].cell(facts).plain == " of ".join(str(number) for number in files if number is not None)
 
 
 @pytest.mark.parametrize(
@@ -254,7 +299,7 @@ def test_the_facts_of_a_node() -> None:
 )
 def test_what_was_superseded_alarms_nobody(rejected: dict[str, int], style: str) -> None:
     [facts] = document_of(status_of(health("afm_node@slave", rejected=rejected)), ["afm_node@slave"])["nodes"]
-    cell = health_cells(facts)["refused"]
+    cell = figures()["refused"].cell(facts)
     assert (cell.style, cell.plain) == (style, ", ".join(f"{name} {count}" for name, count in rejected.items()) or "0")
 
 

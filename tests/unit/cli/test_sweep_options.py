@@ -98,10 +98,12 @@ def test_each_session_has_the_options_of_the_sweep_but_its_own() -> None:
         "--json",
     ]
     assert without_sweep(words) == ["--scenario", "fig12", "--no-view"]
+    words = ["telenano", "simulate", "fig12", "--no-report", "--format", "svg", "--seeds", "2", "--style=paper"]
+    assert without_sweep(words, "simulate") == ["fig12", "--no-report"]
 
 
 def test_the_sessions_run_one_after_the_other_and_a_failure_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     commands: list[list[str]] = []
 
@@ -112,10 +114,9 @@ def test_the_sessions_run_one_after_the_other_and_a_failure_is_named(
         return {"verdict": "stable"}
 
     monkeypatch.setattr(sweep, "run_session", run)
-    shown: list[str] = []
     with pytest.raises(RigError, match="the session law=smith failed: the rig failed"):
-        run_sweep(points_of(["controller.law=wave,smith,passivity"]), ["--no-view"], tmp_path, shown.append)
-    assert shown == ["1/3: law=wave", "2/3: law=smith"]
+        run_sweep(points_of(["controller.law=wave,smith,passivity"]), ["--no-view"], tmp_path)
+    assert capsys.readouterr() == ("", "1/3: law=wave\n2/3: law=smith\n")
     assert commands[0][3:] == [
         "up", "--no-view", "--set", "controller.law=wave", "--out", str(tmp_path / "law=wave"), "--json",
     ]  # fmt: skip

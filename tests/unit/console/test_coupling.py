@@ -170,4 +170,4 @@ def test_command_and_page_end_at_the_same_function(monkeypatch: pytest.MonkeyPat
     assert json.loads(refused.stdout) == {"error": "not coupled, and nothing has moved: the hand presses with 1.00 N"}
     assert given == [file, DEFAULT_SITE_FILE, DEFAULT_SITE_FILE]
     for wrong in (["a=1"], ["--target", "afm_node"], ["--site", "slave"]):
-        assert "couple takes no parameters" in run(["session", "couple", *wrong]).output
+        assert "not with couple, which is for both" in run(["session", "couple", *wrong]).output

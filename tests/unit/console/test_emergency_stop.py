@@ -489,6 +489,11 @@ def test_an_inlet_leaves_no_socket_and_belongs_to_one_node(tmp_path: Path) -> No
         ("session estop --target afm_node", EstopRequest(target="afm_node")),
         ("estop --site-file my.yaml", EstopRequest(site_file=Path("my.yaml"))),
         ("estop --rig lab", EstopRequest(rig="lab")),
+        # what stands twice stops as much as it could mean
+        ("estop --json --json --rig lab --rig=lab", EstopRequest(rig="lab", as_json=True)),
+        ("estop --rig lab --rig other", EstopRequest()),
+        ("estop --target afm_node --target haptic_node --site slave --site master", EstopRequest()),
+        ("estop --site-file my.yaml --site-file other.yaml", None),
         # what is wrong or asks for help is left to the usual way
         ("estop --help", None),
         ("estop --site", None),

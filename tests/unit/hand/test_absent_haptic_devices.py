@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from telenano.sections import HapticConfig
-from telenano.sections.hand_section import DRIVERS, SECTIONS
+from telenano.sections.hand_section import DRIVERS
 from telenano.settings import entries, validate
 from telenano.wire import ConfigError
 from telenano.wire.extras import how_to_add_package
@@ -17,7 +17,6 @@ def test_without_its_package_a_driver_gets_the_command_that_installs_it(monkeypa
     monkeypatch.setattr(entries, "load", lambda *given: nothing)
     # what was found before
     monkeypatch.setattr(DRIVERS, "_asked", {})
-    monkeypatch.setattr(SECTIONS, "_asked", {})
     how = re.escape(how_to_add_package("telenano-devices"))
     named = {name: ("driver", f"driver {name}", name) for name in ("haply", "dhd", "hd", "simulated_impedance")}
     named |= {name: (name, f"section {name}", {}) for name in ("coupling", "impedance")}

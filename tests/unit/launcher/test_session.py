@@ -384,7 +384,7 @@ def test_the_live_view_has_the_health_of_each_node_under_its_heading() -> None:
     rows = {line[0]: dict(zip(headings, line, strict=False)) for line in cells}
     assert rows["afm_node@slave"] == {
         "node": "afm_node@slave", "state": "safe", "rate Hz": "1000.0", "late p99 ms": "0.000", "input age ms": "500.0",
-        "lost": "0", "refused": "source 3", "CPU %": "1", "MB": "57", "restarts": "0",
+        "lost": "0", "refused": "source 3", "CPU %": "1", "MB": "57", "files": "-", "restarts": "0",
     }  # fmt: skip
     assert rows["haptic_node@master"]["state"] == "-"
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from telenano.extend.virtual_impedance import VirtualImpedanceConfig
 from telenano.numerics.discretisation import approach, decay, exact_discretisation
+from telenano.sections import VirtualImpedanceConfig
 
 T = 1e-3
 # a closed form in doubles loses a few last bits itself, ours none

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from telenano.extend import pass_through, virtual_impedance
+from telenano.extend import pass_through
 from telenano.extend.laws import (
     HandSample,
     Law,
@@ -21,7 +21,7 @@ from telenano.extend.laws import (
     no_energy_account,
     the_hands_force,
 )
-from telenano.laws import wave
+from telenano.laws import virtual_impedance, wave
 from telenano.lockstep.law_rules import RULES, broken_rules
 from telenano.sections.controller_section import KNOWN_LAWS, LAWS, OWN_LAWS, ControllerConfig
 from telenano.sections.law_names import LAW_NAMES

@@ -7,14 +7,14 @@ import pytest
 
 from telenano.extend.laws import NO_SIGNAL, HandSample, PortSignal, TipMeasurement, measured_tip
 from telenano.extend.pass_through import slave_receive, slave_start
-from telenano.extend.virtual_impedance import (
-    MasterState,
-    VirtualImpedanceConfig,
+from telenano.laws.virtual_impedance import (
+    ImpedanceState,
     master_receive,
     master_send,
     master_start,
     retune,
 )
+from telenano.sections import VirtualImpedanceConfig
 
 PERIOD_S = 1e-3
 PARAMS = VirtualImpedanceConfig().to_params(PERIOD_S)
@@ -30,7 +30,7 @@ def answer(force_n: float, silence_s: float = 0.0, active: bool = True) -> PortS
 
 def test_free_motion_is_the_closed_form_of_the_impedance() -> None:
     # M x'' + B x' = K_f F from rest: x = (u/B) (t - tau (1 - e^(-t/tau))), tau = M/B
-    state, u, tau = MasterState(0.0, 0.0, 0.0), 20.0 * 0.7, 10.0 / 2000.0
+    state, u, tau = ImpedanceState(0.0, 0.0, 0.0), 20.0 * 0.7, 10.0 / 2000.0
     for n in range(1, 301):
         state, reference = master_receive(PARAMS, state, pressing(0.7), answer(0.0), PERIOD_S)
         t = n * PERIOD_S
@@ -41,7 +41,7 @@ def test_free_motion_is_the_closed_form_of_the_impedance() -> None:
 
 def test_virtual_spring_settles_at_force_over_stiffness() -> None:
     params = VirtualImpedanceConfig(stiffness_n_per_m=5000.0).to_params(PERIOD_S)
-    state = MasterState(0.0, 0.0, 0.0)
+    state = ImpedanceState(0.0, 0.0, 0.0)
     for _ in range(20_000):
         state, reference = master_receive(params, state, pressing(1.0), answer(0.0), PERIOD_S)
     assert reference.position_m == pytest.approx(20.0 / 5000.0, rel=1e-9, abs=0.0)
@@ -51,7 +51,7 @@ def test_virtual_spring_settles_at_force_over_stiffness() -> None:
 @pytest.mark.parametrize("gain", [5.0, 20.0])
 def test_steady_state_on_a_spring_is_equation_17(stiffness: float, gain: float) -> None:
     params = VirtualImpedanceConfig(force_gain=gain).to_params(PERIOD_S)
-    state = MasterState(0.0, 0.0, 0.0)
+    state = ImpedanceState(0.0, 0.0, 0.0)
     for _ in range(5000):
         state, signal = master_send(params, state, pressing(1.0), PERIOD_S)
         force = stiffness * signal.position_m
@@ -60,7 +60,7 @@ def test_steady_state_on_a_spring_is_equation_17(stiffness: float, gain: float) 
 
 
 def test_many_periods_at_once_are_as_many_single_ones() -> None:
-    start = MasterState(1e-3, 2e-3, 0.0)
+    start = ImpedanceState(1e-3, 2e-3, 0.0)
     together, _ = master_receive(PARAMS, start, pressing(0.4), answer(1e-9), 7 * PERIOD_S)
     for _ in range(7):
         start, _ = master_receive(PARAMS, start, pressing(0.4), answer(1e-9), PERIOD_S)
@@ -68,7 +68,7 @@ def test_many_periods_at_once_are_as_many_single_ones() -> None:
 
 
 def test_reference_is_the_scaled_position() -> None:
-    _, signal = master_send(PARAMS, MasterState(7e-3, 1e-3, 0.0), pressing(1.0), PERIOD_S)
+    _, signal = master_send(PARAMS, ImpedanceState(7e-3, 1e-3, 0.0), pressing(1.0), PERIOD_S)
     assert signal.position_m == 1.5e-6 * 7e-3
     assert signal.velocity_m_per_s == 1.5e-6 * 1e-3
     assert signal.force_n == 1.0 / 1e8
@@ -84,7 +84,7 @@ def test_reference_is_the_scaled_position() -> None:
     ],
 )
 def test_uncoupled_mass_stays_with_the_hand_and_the_tip_stays_put(hand: HandSample, signal: PortSignal) -> None:
-    state = MasterState(7e-3, 4e-3, 1e-10)
+    state = ImpedanceState(7e-3, 4e-3, 1e-10)
     before = master_send(PARAMS, state, hand, PERIOD_S)[1].position_m
     state, reference = master_receive(PARAMS, state, hand, signal, PERIOD_S)
     after = master_send(PARAMS, state, hand, PERIOD_S)[1].position_m
@@ -94,7 +94,7 @@ def test_uncoupled_mass_stays_with_the_hand_and_the_tip_stays_put(hand: HandSamp
 
 
 def test_tip_that_is_retracted_will_be_where_the_hand_is() -> None:
-    state, hand = MasterState(7e-3, 4e-3, 1e-10), pressing(1.0, 5e-3)
+    state, hand = ImpedanceState(7e-3, 4e-3, 1e-10), pressing(1.0, 5e-3)
     state, reference = master_receive(PARAMS, state, hand, answer(1e-9, active=False), PERIOD_S)
     assert reference.position_m == 5e-3
     sent = master_send(PARAMS, state, hand, PERIOD_S)[1].position_m
@@ -116,7 +116,7 @@ def test_hand_that_does_not_follow_yet_is_asked_to() -> None:
 
 
 def test_change_of_position_scale_does_not_move_the_tip() -> None:
-    state = MasterState(7e-3, 1e-3, 0.0)
+    state = ImpedanceState(7e-3, 1e-3, 0.0)
     other = VirtualImpedanceConfig(position_scale=3e-7).to_params(PERIOD_S)
     before = master_send(PARAMS, state, pressing(0.0), PERIOD_S)[1].position_m
     carried = retune(PARAMS, other, state)

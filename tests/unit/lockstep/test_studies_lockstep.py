@@ -11,8 +11,9 @@ from tried_laws import TRIED_LAWS as LAWS
 from telenano.afm import step as afm
 from telenano.afm.safety import MODE_FOLLOW
 from telenano.extend.laws import NO_SIGNAL, HandSample
-from telenano.extend.virtual_impedance import MasterState, VirtualImpedanceConfig, master_receive
+from telenano.laws.virtual_impedance import ImpedanceState, master_receive
 from telenano.lockstep.link import Schedule
+from telenano.sections import VirtualImpedanceConfig
 from telenano.sections.afm_section import AfmConfig
 
 PERIOD_S = 1e-3
@@ -27,7 +28,7 @@ def cell(law: str = "virtual_impedance", environment: Any = "spring", delay_ms: 
 def written_out(force_at: Any, delay_ticks: int, lead_in: int, ticks: int) -> dict[str, np.ndarray]:
     """The paper's law coupled to a tip by hand: x of tick n - d gives F, which acts on x from n to n + 1."""
     law = VirtualImpedanceConfig().to_params(PERIOD_S)
-    state, positions, forces = MasterState(0.0, 0.0, 0.0), [], []
+    state, positions, forces = ImpedanceState(0.0, 0.0, 0.0), [], []
     for n in range(lead_in + ticks):
         positions.append(state.position_m)
         base_m = law.position_scale * positions[n - delay_ticks] if n >= delay_ticks else 0.0

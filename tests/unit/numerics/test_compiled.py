@@ -335,7 +335,7 @@ def write_package(folder: Path, force: str) -> None:
 
 
 @pytest.mark.endurance("compiles in a folder of its own, several times")
-@pytest.mark.parametrize(("kind", "folders"), [("laws", 3), ("steps", 1)])
+@pytest.mark.parametrize(("kind", "folders"), [("laws", 3), ("commands", 1)])
 def test_an_edited_package_never_runs_the_code_of_before(tmp_path: Path, kind: str, folders: int) -> None:
     install(tmp_path, "pack", kind)
     edits = (FORCE, FORCE.replace("params.k", "10.0 * params.k"), FORCE.replace("k: float\n    b", "b: float\n    k"))

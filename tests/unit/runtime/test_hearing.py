@@ -411,5 +411,19 @@ def test_the_beacon_is_no_input_of_a_node_that_does_not_read_it(
         assert BEACON not in {row.topic for one in reader.readers for row in one.input_health()}
 
 
+def test_a_reader_that_is_closed_piece_by_piece_keeps_no_other_from_reading(
+    context: "zmq.Context[zmq.Socket[bytes]]", book: AddressBook
+) -> None:
+    sender = Sender(context, book, "launcher@master")
+    with contextlib.closing(sender), contextlib.closing(Reader(context, book, "console")) as reader:
+        settled(reader, sender)
+        reader.network.close()
+        # Nobody reads any more that this connection ends.
+        too_large(sender)
+        time.sleep(0.1)
+        with contextlib.closing(Reader(context, book, "hand")) as other:
+            settled(other, sender)
+
+
 def lost(reader: Reader, but: str = "") -> int:
     return sum(t.lost for r in reader.readers for (_, src), t in r.trackers.items() if src != but)

@@ -28,13 +28,11 @@ from network_bench import (
     until,
 )
 
+from telenano.runtime.bus import socket_monitor
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import Subscriber, ZmqBus
 from telenano.runtime.bus.publisher import ZmqPublisher
-from telenano.runtime.security import peer_connections, socket_monitor, zap_authenticator
-from telenano.runtime.security.keyring import Keyring
-from telenano.runtime.security.peer_connections import MessagePermissions, PeerConnections
-from telenano.runtime.security.socket_monitor import (
+from telenano.runtime.bus.socket_monitor import (
     CLOSED_IN_HANDSHAKE,
     CONNECTED,
     DISCONNECTED,
@@ -43,6 +41,9 @@ from telenano.runtime.security.socket_monitor import (
     Monitor,
     MonitorEvent,
 )
+from telenano.runtime.security import peer_connections, zap_authenticator
+from telenano.runtime.security.keyring import Keyring
+from telenano.runtime.security.peer_connections import MessagePermissions, PeerConnections
 from telenano.runtime.security.zap_authenticator import _is_of_this_user
 from telenano.runtime.wiring import transport
 from telenano.runtime.wiring.transport import Transport
@@ -226,7 +227,7 @@ def test_without_a_network_there_is_nothing_to_look_after(tmp_path: Path) -> Non
         bus = ZmqBus(publisher, subscribers, SystemClock(), -1, quiet)
         assert (bus.process_events(), bus.process_events(now=True), bus.rejections()) == ((), (), ({}, ""))
         assert quiet.process_events() == []
-        for each in (*subscribers, publisher):
+        for each in (*subscribers, publisher, quiet):
             each.close()
 
 

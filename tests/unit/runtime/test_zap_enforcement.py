@@ -10,8 +10,8 @@ import pytest
 import zmq
 from network_bench import AFM, CONTROLLER, PATIENCE_S, Machine, two_machine_book, until
 
+from telenano.runtime.bus.socket_monitor import CLOSED_IN_HANDSHAKE, CONNECTED
 from telenano.runtime.security import zap_authenticator
-from telenano.runtime.security.socket_monitor import CLOSED_IN_HANDSHAKE, CONNECTED
 from telenano.runtime.security.zap_authenticator import BoundEndpoint, ZapAuthenticator
 
 

@@ -11,8 +11,8 @@ import dataclasses
 from typing import NamedTuple
 
 from telenano.settings import DeviceDriver
-from telenano.extend.laws import Law
-from telenano.extend import pass_through, virtual_impedance
+from telenano.laws import VirtualImpedanceParams
+from telenano.sections import VIRTUAL_IMPEDANCE, ImpedanceConfig
 from telenano.extend.programs import Program
 from telenano.extend.samples import AfmSample, SampleModel
 from telenano.settings import Settings
@@ -39,16 +39,13 @@ def measure(params, state, inputs, dt):
 SAMPLE = SampleModel("doubts", SampleConfig, SampleParams, start, measure, 5.0)
 
 class Params(NamedTuple):
-    impedance: virtual_impedance.VirtualImpedanceParams
+    impedance: VirtualImpedanceParams
 
-class LawConfig(virtual_impedance.ImpedanceConfig):
+class LawConfig(ImpedanceConfig):
     def to_params(self, period_s):
         return Params(self.impedance_params(period_s))
 
-LAW = dataclasses.replace(
-    Law.of(virtual_impedance.__name__, LawConfig, slave=pass_through),
-    name="law_config",
-)
+LAW = dataclasses.replace(VIRTUAL_IMPEDANCE, config=LawConfig, name="law_config")
 
 class Knob(Settings):
     port: str = "a"

@@ -1,7 +1,7 @@
 """What installed packages add is found by its entry points, and does no harm where it cannot be used."""
 
 from email.message import Message
-from importlib.metadata import EntryPoint
+from importlib.metadata import EntryPoint, EntryPoints
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -68,6 +68,16 @@ def test_what_can_be_used_is_loaded_and_what_cannot_says_why(entries: list[Any],
     plugins.refuse(loaded, "good")
 
 
+def test_an_entry_of_a_group_that_is_no_kind_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [entry("laws", "good", "pack_a:GOOD"), entry("layers", "dust", "pack_a:DUST")]
+    other = EntryPoint("dust", "pack_a:DUST", "pytest11")
+    monkeypatch.setattr(plugins, "entry_points", lambda: EntryPoints((*rows, other)))
+    (text,) = plugins.of_no_kind()
+    assert text.startswith("pack_a:DUST is not used: its group is telenano.layers; known are laws, devices, ")
+    monkeypatch.setenv("TELENANO_WITHOUT_PACKAGES", "1")
+    assert plugins.of_no_kind() == []
+
+
 def test_a_package_of_many_entries_is_read_once(entries: list[Any]) -> None:
     class Package:
         reads = 0
@@ -104,7 +114,7 @@ def test_a_digest_is_of_every_file_of_the_package(entries: list[Any], tmp_path: 
     digests.add(plugins.installed("laws")["mine"].digest)
     assert len(digests) == 2
     assert all(len(digest) == len("sha256:") + 64 for digest in digests)
-    assert plugins.modules(plugins.in_lockstep()) == ("pack_d.",)
+    assert plugins.parts_of(plugins.in_lockstep()) == ("pack_d",)
 
 
 def test_an_edit_of_one_device_changes_no_other_one_and_that_of_a_shared_part_all_that_use_it(

@@ -19,8 +19,8 @@ from telenano.wire.errors import ConfigError
 
 MODELS = (
     (samples.SampleConfig, samples.TAKEN, set(samples.LAYERS.names)),
-    (afm.AfmConfig, afm.TAKEN, afm.SAMPLES.found.keys() | set(afm.DRIVERS.names)),
-    (haptic.HapticConfig, haptic.TAKEN, {*haptic.DRIVERS.names, *haptic.SECTIONS.names}),
+    (afm.AfmConfig, afm.TAKEN, {*afm.SAMPLES.names, *afm.DRIVERS.names}),
+    (haptic.HapticConfig, haptic.TAKEN, set(haptic.DRIVERS.names)),
     (controller.ControllerConfig, controller.TAKEN, controller.PACKAGE_LAWS.found.keys()),
 )
 
@@ -32,7 +32,7 @@ def test_every_key_of_a_section_is_taken_and_no_method_is(
     model: type[BaseModel], taken: frozenset[str], packages: set[str]
 ) -> None:
     assert set(keys_of(model)) - packages <= taken
-    keys = set(keys_of(model)) | set(afm.SAMPLES.problems)
+    keys = set(keys_of(model)) | set(afm.SAMPLES.all().problems)
     own = {"simulated", "serial", "modbus", "tip_sample", "spring", *controller.OWN_LAWS}
     assert taken <= keys | own
     assert not {"params", "doubts", "to_params", "model_dump", "copy", "law_config"} & taken

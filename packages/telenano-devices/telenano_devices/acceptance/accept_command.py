@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from telenano.cli import JsonOption, print_json, print_rows, report_errors, results_in, run_ahead
+from telenano.cli import JsonOption, Keys, Void, print_json, print_rows, report_errors, results_in, rules, run_ahead
 from telenano.settings import flag_overrides
 from telenano.wire import ConfigError
 
@@ -26,6 +26,19 @@ StopOption = Annotated[
 ]
 
 
+@rules(
+    Void(
+        "--device, --set, --mass, --independent-stop, --calibration, --fault",
+        "whose take was recorded before",
+        beside="--from",
+    ),
+    Void(
+        "--device, --mass, --independent-stop, --fault",
+        "the instrument that is judged instead of a device for the hand",
+        beside="--calibration, --set afm_node.*",
+    ),
+    Keys("--device", "haptic_node.driver"),
+)
 def accept(
     driver: Annotated[
         str, typer.Option("--device", metavar="DRIVER", help="Value of haptic_node.driver: the device to judge.")
@@ -65,8 +78,6 @@ def accept(
         if taken is not None:
             kind, take = read_take(taken, HAPTIC_DEVICE, INSTRUMENT)
         elif calibration is not None or "afm_node" in overrides:
-            if faults:
-                raise ConfigError("--fault: faults go into simulated_impedance; an emulated instrument has its own")
             kind, take = INSTRUMENT, _take_of_instrument(calibration, section_named(overrides, "afm_node"), guide)
         else:
             section = {"driver": driver} | section_named(overrides, "haptic_node")

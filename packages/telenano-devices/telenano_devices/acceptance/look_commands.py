@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from telenano.cli import JsonOption, print_answer, report_errors
+from telenano.cli import JsonOption, Keys, Void, print_answer, report_errors, rules
 from telenano.devices import driver_of
 from telenano.extend.hands import MODE_OFF, DriveCommand
 from telenano.sections import AfmConfig, HapticConfig, LimitsConfig
@@ -35,10 +35,17 @@ SetOption = Annotated[
     typer.Option("--set", metavar="KEY=VALUE", help="Change a key of the device, such as haptic_node.coupling.margin."),
 ]
 
+_RULES = (
+    Void("--baud", "the port whose rate it is", unless="--port"),
+    Void("--set", "which has these keys", unless="--device"),
+    Keys("--device", "haptic_node.driver, afm_node.driver"),
+)
+
 # A function that reads a device once, without driving it, and returns its readings by name.
 Tick = Callable[[], dict[str, Any]]
 
 
+@rules(*_RULES)
 def probe(
     name: Annotated[str | None, typer.Argument(metavar="NAME", hidden=True)] = None,
     port: PortOption = None,
@@ -80,6 +87,7 @@ def probe(
     _print_facts(facts, as_json=as_json)
 
 
+@rules(*_RULES)
 def monitor(
     calibration: Annotated[
         Path | None,

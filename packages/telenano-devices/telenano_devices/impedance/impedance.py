@@ -1,29 +1,16 @@
 """Declares drivers of devices that take a force: the simulated one, and real ones with the coupling in a process."""
 
-import importlib
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 from pydantic import BaseModel
 
 from telenano.extend.hands import SimulatedHand
 from telenano.settings import DeviceDriver, Settings, section_of
 from telenano_devices.impedance.impedance_config import CouplingConfig, SimulatedImpedanceConfig
+from telenano_devices.impedance.impedance_wire import Impedance
 
 if TYPE_CHECKING:
     from telenano_devices.impedance.impedance_device import ImpedanceDevice
-    from telenano_devices.impedance.impedance_wire import ImpedanceWire
-
-
-class Impedance(NamedTuple):
-    """The part of a driver that the servo's process needs: `module:name` of the function that makes its wire."""
-
-    path: str
-
-    def wire(self, settings: BaseModel) -> "ImpedanceWire":
-        """Return the wire of these settings, not yet open; its module is imported now."""
-        module, _, name = self.path.partition(":")
-        wire: ImpedanceWire = getattr(importlib.import_module(module), name)(settings)
-        return wire
 
 
 def impedance_driver(

@@ -4,9 +4,12 @@ Positions, velocities and forces are in the master frame of the messages: x to t
 person, z up, away from the sample, with the centre of the workspace at zero.
 """
 
+import importlib
 import math
 from collections.abc import Callable
-from typing import Protocol
+from typing import NamedTuple, Protocol
+
+from pydantic import BaseModel
 
 from telenano.extend.hands import Capabilities
 from telenano_devices.impedance.coupling import Quaternion, Vector
@@ -38,6 +41,18 @@ class ImpedanceWire(Protocol):
 
     def close(self) -> None:
         """Remove the force and release the device; harmless when already closed, and never raises."""
+
+
+class Impedance(NamedTuple):
+    """The part of a driver that the servo's process needs: `module:name` of the function that makes its wire."""
+
+    path: str
+
+    def wire(self, settings: BaseModel) -> ImpedanceWire:
+        """Return the wire of these settings, not yet open; its module is imported now."""
+        module, _, name = self.path.partition(":")
+        wire: ImpedanceWire = getattr(importlib.import_module(module), name)(settings)
+        return wire
 
 
 def quaternion_of(r: tuple[tuple[float, float, float], ...]) -> Quaternion:

@@ -25,8 +25,7 @@ from telenano.runtime import schedule_as_node, start_process
 from telenano.settings import DeviceDriver
 from telenano.wire import cause
 from telenano_devices.impedance.coupling import Vector
-from telenano_devices.impedance.impedance import Impedance
-from telenano_devices.impedance.impedance_wire import ImpedanceWire
+from telenano_devices.impedance.impedance_wire import Impedance, ImpedanceWire
 from telenano_devices.impedance.servo import DeviceSample, Servo, ServoCommand, ServoSample, Slot
 
 RETRY_S = 0.5

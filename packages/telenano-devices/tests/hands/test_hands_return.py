@@ -29,7 +29,6 @@ from telenano_devices.impedance.impedance_device import ImpedanceDevice
 from telenano_devices.impedance.servo import ServoCommand, ServoSample
 from telenano_devices.impedance.servo_process import ServoLoop, SharedServo
 
-from telenano.devices.hand import serial_driver
 from telenano.extend.hands import MODE_OFF
 from telenano.testing import haptic_config, haptic_device_of, haptic_node
 from telenano.wire import RefusedError
@@ -693,7 +692,7 @@ def walked(bench_of: Any, kind: str, seed: int, folder: Path) -> Walk:
 
 @pytest.fixture(autouse=True)
 def looks_often(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serial_driver, "RETRY_NS", round(RETRY_S * 1e9))
+    monkeypatch.setattr("telenano.devices.hand.serial_driver.RETRY_NS", round(RETRY_S * 1e9))
     monkeypatch.setattr(servo_process, "RETRY_S", RETRY_S)
 
 

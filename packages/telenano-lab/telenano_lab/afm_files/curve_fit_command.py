@@ -6,11 +6,15 @@ from typing import Annotated, Literal
 
 import typer
 
-from telenano.cli import EXIT_FAILED, JsonOption, print_document, progress, report_errors, results_in, say
+from telenano.cli import EXIT_FAILED, JsonOption, Void, print_document, progress, report_errors, results_in, rules, say
 from telenano.settings import flag_overrides
 from telenano.wire import ConfigError
 
 
+@rules(
+    Void("--half-angle", "whose cone it is", unless="--model sneddon"),
+    Void("--radius", "whose tip is a cone", beside="--model sneddon"),
+)
 def fit(
     files: Annotated[
         list[Path], typer.Argument(metavar="FILES", help="Files of force curves, maps of them, or folders of files.")

@@ -29,6 +29,7 @@ from numpy.lib import format as npy
 
 from telenano.extend.maps import SI_UNITS, UNITS, Array, MapFormat, OverMap, Span
 from telenano.files import atomic_file, open_regular
+from telenano.settings import FileReader
 from telenano.wire import ConfigError
 from telenano_lab.afm_files.recorded_map import MapParams, start, step
 
@@ -332,4 +333,4 @@ def read_over_map(path: Path, rest_distance_m: float, stiffness_n_per_m: float, 
     return OverMap(params, params.stiffness_n_per_m, "" if params.is_force else force_map.quantity, about)
 
 
-NPZ = MapFormat(MapParams, start, step, span_of, read_over_map)
+NPZ = FileReader(map=MapFormat(MapParams, start, step, span_of, read_over_map))

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from telenano.cli import JsonOption, print_document, progress, report_errors
+from telenano.cli import JsonOption, Void, print_document, progress, report_errors, rules
 from telenano.extend.maps import SI_UNITS
 from telenano.settings import flag_overrides
 from telenano.wire import ConfigError
@@ -54,6 +54,7 @@ class Quantity(StrEnum):
     FORCE = "force"
 
 
+@rules(Void("--baseline", "which subtracts no background", beside="--correct nothing"))
 def import_map(
     file: FileArgument,
     out: Annotated[Path, typer.Option("--out", metavar="MAP", help="The map to write, a .npz.")],

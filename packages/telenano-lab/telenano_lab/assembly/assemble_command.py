@@ -9,17 +9,19 @@ import typer
 
 from telenano.cli import (
     JsonOption,
+    Keys,
     SiteFileOption,
+    Void,
     console,
     print_document,
     progress,
-    refuse_unused,
     report_errors,
     results_in,
+    rules,
 )
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import ConfigError
-from telenano_lab.microscopy.program_view import AfmOption, LiveOption
+from telenano_lab.microscopy.program_view import LIVE_RULES, AfmOption, LiveOption, decided_by_rig
 from telenano_lab.microscopy.sample_options import ChannelOption
 
 if TYPE_CHECKING:
@@ -88,6 +90,23 @@ def _print_found(particles: "list[FoundParticle]", file: Path) -> None:
     console().print(table)
 
 
+@rules(
+    *LIVE_RULES,
+    decided_by_rig("--seed"),
+    Void(
+        "--count",
+        "which has places of its own",
+        beside="--pattern",
+        unless="--pattern line, --pattern square, --pattern ring",
+    ),
+    Void(
+        "--spacing",
+        "which has places of its own",
+        beside="--pattern",
+        unless="--pattern line, --pattern square, --pattern ring, --pattern letters*",
+    ),
+    Keys("--seed", "disturbances.seed, sample.particles.seed", "--afm"),
+)
 def assemble(
     out: Annotated[
         Path, typer.Option("--out", metavar="DIR", help="Folder for assembly.json and assembly.png.")
@@ -116,8 +135,6 @@ def assemble(
         from telenano_lab.assembly.patterns import pattern as places_of
         from telenano_lab.assembly.run import Assembler, ProgramBench, VirtualBench
 
-        if not live:
-            refuse_unused({"--site-file": site_file != DEFAULT_SITE_FILE}, "not without --live, which names a rig")
         config = _config(seed, afm or [])
         targets = places_of(pattern, count, spacing * 1e-9)
         sides = config.sample_sides_m()

@@ -1,4 +1,4 @@
-"""The layer of particles as telenano finds it (entry point `telenano.layers`); it imports no compiled step."""
+"""The layer of particles as telenano finds it (entry point `telenano.samples`); it imports no compiled step."""
 
 from typing import TYPE_CHECKING, Any
 

@@ -10,17 +10,18 @@ import typer
 from telenano.cli import (
     JsonOption,
     SiteFileOption,
+    Void,
     print_document,
     progress,
-    refuse_unused,
     report_errors,
+    rules,
     validated,
     with_options,
 )
 from telenano.settings import DEFAULT_SITE_FILE
 from telenano.wire import ConfigError, RigError
 from telenano_lab.assembly.push_program import AT_GOAL, PushSettings
-from telenano_lab.microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign
+from telenano_lab.microscopy.program_view import LIVE_RULES, AfmOption, LiveOption, decided_by_rig, follow_program
 
 if TYPE_CHECKING:
     from telenano.wire import Scalar
@@ -29,6 +30,12 @@ _REACH_M = 1e-3
 _ENDS = ("x0_m", "y0_m", "x1_m", "y1_m")
 
 
+@rules(
+    *LIVE_RULES,
+    decided_by_rig("--afm"),
+    Void("--gain", "which it controls", unless="--hold force"),
+    Void("--pitch", "whose lines it parts", unless="--mode sweep"),
+)
 @with_options(PushSettings, leave_out=_ENDS)
 def push(
     begin: Annotated[
@@ -47,12 +54,7 @@ def push(
         given |= dict(zip(_ENDS, ends, strict=True))
         validated(PushSettings, given, dict(zip(_ENDS, ("--from", "--from", "--to", "--to"), strict=True)))
         keys: dict[str, Scalar] = {"program": "push", **{f"push.{name}": value for name, value in given.items()}}
-        if live:
-            refuse_foreign({"--afm": afm})
-            document = _live(site_file, keys, as_json=as_json)
-        else:
-            refuse_unused({"--site-file": site_file != DEFAULT_SITE_FILE}, "not without --live, which names a rig")
-            document = _simulated(keys, afm or [], as_json=as_json)
+        document = _live(site_file, keys, as_json=as_json) if live else _simulated(keys, afm or [], as_json=as_json)
     document["error_m"] = math.dist(document["believed_m"], ends[2:])
     print_document(document, document["why"], as_json=as_json)
 

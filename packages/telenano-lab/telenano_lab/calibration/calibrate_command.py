@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from telenano.cli import JsonOption, command_group, print_document, report_errors
+from telenano.cli import JsonOption, Void, command_group, print_document, report_errors, rules
 from telenano.wire import ConfigError
 
 app = command_group()
@@ -88,6 +88,12 @@ def sensitivity(
 
 
 @app.command()
+@rules(
+    Void("--sides, --noise-bandwidth, --frequency-unit, --columns", "which is no spectrum", beside="--record"),
+    Void("--rate", "which has samples", unless="--record"),
+    Void("--sensitivity-error", "whose error it is", unless="--sensitivity"),
+    Void("--size-error", "whose error it is", unless="--size"),
+)
 def stiffness(
     temperature: Annotated[float, typer.Option("--temperature", metavar="K", help="Temperature [K].")] = 300.0,
     spectrum: Annotated[
@@ -180,12 +186,6 @@ def stiffness(
 
         if (spectrum is None) == (record is None):
             raise ConfigError("--spectrum, --record: give one of them")
-        of_spectra = {
-            "--sides": sides, "--noise-bandwidth": noise_bandwidth, "--frequency-unit": frequency_unit or None,
-            "--columns": columns,
-        }  # fmt: skip
-        if record is not None and (unused := [name for name, value in of_spectra.items() if value is not None]):
-            raise ConfigError(f"{', '.join(unused)}: is of a spectrum, and a record is given: leave it out")
         is_of_metres, window = False, None
         if spectrum is not None:
             found_spectrum = spectrum_of(

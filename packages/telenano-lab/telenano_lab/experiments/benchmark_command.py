@@ -14,12 +14,13 @@ from telenano.cli import (
     FormatOption,
     JsonOption,
     StyleOption,
+    Void,
     law_names,
     print_json,
     print_rows,
-    refuse_unused,
     report_errors,
     results_in,
+    rules,
 )
 from telenano_lab.studies import option_values
 from telenano_lab.studies.loops.sweep import Kind, Sweep
@@ -31,6 +32,15 @@ _OF_FIELDS = {"law": "--law", "network": "--network", "instrument": "--instrumen
               "task": "--task", "hand": "--arm", "seed": "--seed"}  # fmt: skip
 
 
+@rules(
+    Void("--task, --arm, --seed, --draw, --draw-seed", "without which the whole set is run", unless="WHAT cell"),
+    Void(
+        "--quick, --set, --scheduler, --out, --format, --style",
+        "whose runs are made again as they were kept, and leave no page",
+        beside="WHAT cell",
+    ),
+    Void("--draw-seed", "which draws", unless="--draw"),
+)
 def benchmark(
     what: Annotated[
         Literal["all", "cell"],
@@ -81,17 +91,12 @@ def benchmark(
     if one differs.
     """
     with report_errors(as_json, INTERRUPTED):
-        chosen = {"--task": task, "--arm": arm, "--seed": seed, "--draw": draw, "--draw-seed": draw_seed}
         if what == "all":
-            refuse_unused(chosen, "without `cell` the whole set is run")
             choice = {"--network": network, "--instrument": instrument, "--hand": hand}
             options = FigureOptions.of(formats, style)
             sweep = sweep_in(out, workers, scheduler, shown=not as_json, kind=_runs())
             _run_all(law, choice, settings or (), out, sweep, options, quick=quick, as_json=as_json)
             return
-        refuse_unused(
-            {"--quick": quick, "--set": settings, "--scheduler": scheduler}, "a cell is run as its runs were kept"
-        )
         wanted: dict[str, list[Any]] = {
             "law": [] if law == "all" else _names(law),
             "network": _names(network.lower()),

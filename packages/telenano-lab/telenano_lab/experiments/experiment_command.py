@@ -11,12 +11,14 @@ import yaml
 from telenano.cli import (
     EXIT_FAILED,
     JsonOption,
+    Void,
     command_group,
     print_answer,
     print_document,
     print_json,
     print_rows,
     report_errors,
+    rules,
 )
 from telenano.files import atomic_file
 from telenano.settings import read_yaml
@@ -53,6 +55,7 @@ MarksOption = Annotated[
     typer.Option("--marks", metavar="PORT", help="Mark both ends of a trial on this serial or parallel port."),
 ]
 BaudOption = Annotated[int, typer.Option("--baud", min=50, metavar="N", help="Rate of a serial port of --marks [1/s].")]
+_MARK_RULES = (Void("--baud", "the port whose rate it is", unless="--marks"),)
 
 
 def _again(folder: Path) -> str:
@@ -114,6 +117,7 @@ def check(file: FileArgument, as_json: JsonOption = False) -> None:
 
 
 @app.command()
+@rules(*_MARK_RULES)
 def run(
     file: FileArgument,
     out: Annotated[
@@ -140,6 +144,7 @@ def run(
 
 
 @app.command()
+@rules(*_MARK_RULES)
 def resume(
     folder: FolderArgument,
     participant: ParticipantOption = None,

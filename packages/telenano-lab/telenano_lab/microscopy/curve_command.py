@@ -10,12 +10,13 @@ import typer
 from telenano.cli import (
     JsonOption,
     SiteFileOption,
+    Void,
     command_group,
     print_document,
     progress,
-    refuse_unused,
     report_errors,
     results_in,
+    rules,
     say,
     validated,
     with_options,
@@ -23,7 +24,7 @@ from telenano.cli import (
 from telenano.settings import DEFAULT_SITE_FILE, CurveSettings, flag_overrides, validate
 from telenano.signals import finishing
 from telenano.wire import ConfigError, RigError
-from telenano_lab.microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign
+from telenano_lab.microscopy.program_view import LIVE_RULES, AfmOption, LiveOption, decided_by_rig, follow_program
 
 if TYPE_CHECKING:
     from telenano.wire import Scalar
@@ -41,6 +42,12 @@ app = command_group()
 
 
 @app.callback(invoke_without_command=True, no_args_is_help=False)
+@rules(
+    *LIVE_RULES,
+    decided_by_rig("--model, --points"),
+    decided_by_rig("--afm", unless="--overlay"),
+    Void("--set, --number, --reduced-modulus", "which names the measured curve", unless="--overlay"),
+)
 @with_options(CurveSettings)
 def curve(
     context: typer.Context,
@@ -91,15 +98,8 @@ def curve(
         from telenano_lab.microscopy.adhesion_fit import fit_adhesion
         from telenano_lab.microscopy.force_curve_figure import curve_figure
 
-        if not live:
-            refuse_unused({"--site-file": site_file != DEFAULT_SITE_FILE}, "not without --live, which names a rig")
-        if overlay is None:
-            of_a_file = {"--set": lacking, "--number": number, "--reduced-modulus": reduced_modulus is not None}
-            refuse_unused(of_a_file, "not without --overlay, which names the measured curve")
         config = validate(AfmConfig, flag_overrides(afm or ()), "--afm")
         measured = None if overlay is None else curves.read_measured(overlay, number, flag_overrides(lacking or ()))
-        if live:
-            refuse_foreign({"--afm": afm and overlay is None, "--model dynamic": model is CurveModel.DYNAMIC})
         # A signal while the files are written must not lose a curve of a real tip.
         with finishing() as finish, results_in(out) as folder:
             if live:

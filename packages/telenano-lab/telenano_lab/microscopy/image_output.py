@@ -20,28 +20,31 @@ def write_images(
         instrument: Name of the instrument that took the image.
         sample: The sample, if known.
     """
-    from telenano.recording import versions
+    from telenano.recording import IMAGE_ENTRY, versions
     from telenano_lab.microscopy.image_files import write_gsf, write_gwy, write_png
 
     write_gsf(out / "scan.gsf", images["height"])
     write_gwy(out / "scan.gwy", images)
     write_png(out / "scan.png", images)
-    files, own = ["scan.gwy", "scan.gsf", "scan.png"], ("gwy", "gsf", "png")
+    files = ["scan.gwy", "scan.gsf", "scan.png"]
     versions_here = versions()
     facts = ImageFacts(
         mode, instrument, f"{versions_here['package telenano']}, commit {versions_here['commit']}", sample
     )
-    formats = load("images", taken=own)
-    for name, write in formats.found.items():
-        path = out / f"scan.{name}"
+    own = [IMAGE_ENTRY + file.removeprefix("scan.") for file in files]
+    for name in (name for name in installed("exports") if name.startswith(IMAGE_ENTRY)):
+        path = out / f"scan.{name.removeprefix(IMAGE_ENTRY)}"
+        loaded = load("exports", taken=own, only=name)
+        problem = loaded.problems.get(name, "")
         # A failure in a package must not lose an image that cannot be taken again.
         try:
-            with code_of(installed("images")[name].package):
-                write(path, images, facts)
-            files.append(path.name)
+            if not problem:
+                with code_of(installed("exports")[name].package):
+                    loaded.found[name](path, images, facts)
+                files.append(path.name)
         except TelenanoError as error:
             path.unlink(missing_ok=True)
-            formats.problems[name] = str(error)
-    for name, problem in formats.problems.items():
-        say(f"scan.{name} was not written: {problem}")
+            problem = str(error)
+        if problem:
+            say(f"{path.name} was not written: {problem}")
     return files

@@ -2,11 +2,11 @@
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telenano.cli import RawKeyboard, refuse_unused
+from telenano.cli import RawKeyboard, Void
 
 if TYPE_CHECKING:
     from telenano.wire import AfmProgram, Scalar
@@ -24,9 +24,13 @@ LiveOption = Annotated[
 ]
 
 
-def refuse_foreign(options: Mapping[str, Any]) -> None:
-    """Raise ConfigError naming options that are given but have no meaning for a running rig."""
-    refuse_unused(options, "not with --live: the scenario of the rig decides it")
+# Without a running rig no site file is read.
+LIVE_RULES = (Void("--site-file, --rig", "which names a rig", unless="--live"),)
+
+
+def decided_by_rig(options: str, unless: str = "") -> Void:
+    """Return the rule that these options have no meaning for a running rig."""
+    return Void(options, "whose scenario decides it", beside="--live", unless=unless)
 
 
 def follow_program(

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 import typer
 
+from telenano.cli import Void
 from telenano.wire import ConfigError
 from telenano_lab.microscopy.image_files import Image
 
@@ -89,19 +90,17 @@ class Levels(NamedTuple):
     above_nm: float | None
     below_nm: float | None
 
-    def check(self) -> None:
-        """Raise ConfigError if a mask is given without a method that would use it."""
-        if self.method is None and (self.above_nm is not None or self.below_nm is not None):
-            raise ConfigError("--mask-above, --mask-below: leave points out of --align-rows, which is not given")
+
+# A mask is of a method that uses it.
+LEVEL_RULES = (Void("--mask-above, --mask-below", "from which they leave points out", unless="--align-rows"),)
 
 
 def aligned_image(image: Image, method: Method | None, above_nm: float | None, below_nm: float | None) -> Image:
     """Return an image with its rows aligned as the options say, and the steps appended to its log.
 
     Raises:
-        ConfigError: There is a mask and no method, or the rows cannot be aligned; the message names the option.
+        ConfigError: The rows cannot be aligned; the message names the option.
     """
-    Levels(method, above_nm, below_nm).check()
     if method is None:
         return image
     metres = [None if each is None else 1e-9 * each for each in (above_nm, below_nm)]

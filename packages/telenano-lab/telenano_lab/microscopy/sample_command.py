@@ -5,9 +5,9 @@ from typing import Annotated
 
 import typer
 
-from telenano.cli import JsonOption, command_group, print_document, report_errors, results_in
+from telenano.cli import JsonOption, command_group, print_document, report_errors, results_in, rules
 from telenano.wire import ConfigError
-from telenano_lab.microscopy.row_levels import AboveOption, AlignOption, BelowOption, aligned_image
+from telenano_lab.microscopy.row_levels import LEVEL_RULES, AboveOption, AlignOption, BelowOption, aligned_image
 from telenano_lab.microscopy.sample_options import (
     ChannelOption,
     SampleOption,
@@ -20,6 +20,7 @@ app = command_group()
 
 
 @app.callback(invoke_without_command=True, no_args_is_help=False)
+@rules(*LEVEL_RULES)
 def sample(
     context: typer.Context,
     out: Annotated[

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from telenano.afm import SHAPES
 from telenano.settings import flag_overrides, permit_code, validate
 
 if TYPE_CHECKING:
@@ -15,8 +16,8 @@ SampleOption = Annotated[
     typer.Option(
         "--sample",
         metavar="NAME|FILE|MODULE:FUNCTION",
-        help="flat, dots, grating, a height map (.gsf, .npy; others by the readers of packages), or a function of x and"
-        " y [m].",
+        help=f"{', '.join(SHAPES)}, a height map (.gsf, .npy; others by the readers of packages), or a function of x"
+        " and y [m].",
     ),
 ]
 SampleSizeOption = Annotated[

@@ -8,12 +8,14 @@ import typer
 from telenano.cli import (
     EXIT_FAILED,
     JsonOption,
+    Keys,
     SiteFileOption,
+    Void,
     print_document,
     progress,
-    refuse_unused,
     report_errors,
     results_in,
+    rules,
     say,
     validated,
     with_options,
@@ -21,8 +23,15 @@ from telenano.cli import (
 from telenano.settings import DEFAULT_SITE_FILE, ScanSettings, flag_overrides, validate
 from telenano.signals import finishing
 from telenano.wire import ConfigError, RigError
-from telenano_lab.microscopy.program_view import AfmOption, LiveOption, follow_program, refuse_foreign
-from telenano_lab.microscopy.row_levels import AboveOption, AlignOption, BelowOption, Levels, aligned_image
+from telenano_lab.microscopy.program_view import LIVE_RULES, AfmOption, LiveOption, decided_by_rig, follow_program
+from telenano_lab.microscopy.row_levels import (
+    LEVEL_RULES,
+    AboveOption,
+    AlignOption,
+    BelowOption,
+    Levels,
+    aligned_image,
+)
 from telenano_lab.microscopy.sample_options import (
     ChannelOption,
     SampleOption,
@@ -46,6 +55,14 @@ _OWN = {
 }
 
 
+@rules(
+    *LIVE_RULES,
+    *LEVEL_RULES,
+    decided_by_rig("--sample, --channel, --set, --afm, --temperature, --noise-seed"),
+    Void("--noise-seed", "which make a noise", unless="--temperature, --afm"),
+    Keys("--temperature", "disturbances.thermal.temperature_k, disturbances.thermal.enabled", "--afm"),
+    Keys("--noise-seed", "disturbances.seed", "--afm"),
+)
 @with_options(ScanSettings, _OWN)
 def scan(
     out: Annotated[
@@ -88,17 +105,12 @@ def scan(
         if setpoint is not None:
             given |= {"setpoint_share": setpoint} if mode == "tapping" else {"setpoint_n": setpoint * 1e-9}
         levels = Levels(align, above, below)
-        levels.check()
         if live and size is not None:
             given |= {"width_m": size * 1e-9, "depth_m": size * 1e-9}
         wanted = validated(ScanSettings, given, _OWN)
         if live:
-            foreign = {"--sample": name != "dots", "--channel": channel, "--set": settings, "--afm": afm,
-                       "--temperature": temperature}  # fmt: skip
-            refuse_foreign(foreign)
             _scan_live(out, site_file, wanted, given, levels, as_json=as_json)
             return
-        refuse_unused({"--site-file": site_file != DEFAULT_SITE_FILE}, "not without --live, which names a rig")
         from telenano.sections import AfmConfig
         from telenano_lab.microscopy.image_output import write_images
         from telenano_lab.microscopy.simulated_image import take_image

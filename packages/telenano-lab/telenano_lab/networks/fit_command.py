@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 import yaml
 
-from telenano.cli import JsonOption, print_json, print_rows, report_errors, results_in
+from telenano.cli import JsonOption, Void, print_json, print_rows, report_errors, results_in, rules
 from telenano.wire import ConfigError
 
 if TYPE_CHECKING:
@@ -22,6 +22,14 @@ _FEWEST_BEYOND = 10
 _FEWEST_TIMES = 30.0
 
 
+@rules(
+    Void("--taken", "the source of which it says what was used", unless="--cite"),
+    Void(
+        "--round-trip, --without-memory, --period, --direction, --anyway",
+        "which has neither times nor an order",
+        beside="--histogram",
+    ),
+)
 def fit(
     logs: Annotated[
         list[Path],
@@ -82,18 +90,8 @@ def fit(
     statistic the exit code is 3, and no settings are written without --anyway.
     """
     with report_errors(as_json):
-        if taken is not None and not cite:
-            raise ConfigError("--taken says what was used of a source: name the source by --cite, or leave --taken out")
         source = (cite, taken or "all messages of the log, by telenano link fit")
         if histogram:
-            for flag, is_given in (
-                ("--round-trip", round_trip), ("--without-memory", without_memory), ("--period", period is not None),
-                ("--direction", direction is not None), ("--anyway", anyway),
-            ):  # fmt: skip
-                if is_given:
-                    raise ConfigError(
-                        f"{flag} is not for a histogram, which has neither times nor an order: leave it out"
-                    )
             _show(_of_histogram(logs, unit, out, seed, about, source), out, as_json)
             return
         from telenano.analysis import png_of

@@ -13,12 +13,14 @@ import yaml
 from telenano.cli import (
     JsonOption,
     SiteFileOption,
+    Void,
     open_observer,
     print_json,
     print_rows,
     progress,
     report_errors,
     results_in,
+    rules,
 )
 from telenano.console import send_control
 from telenano.runtime import RIG_HINT, TRAIN, Command
@@ -30,6 +32,7 @@ _TOPIC = "link/network"
 _SECTION = "delay_node.yaml"
 
 
+@rules(Void("--duration, --site-file, --rig", "which needs no rig", beside="--from"))
 def probe(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for traces, figure and settings.")] = Path(
         "out/probe"

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from telenano.analysis import FigureOptions, Page
-from telenano.cli import FormatOption, JsonOption, StyleOption, law_names, refuse_unused, report_errors, results_in
+from telenano.cli import FormatOption, JsonOption, StyleOption, Void, law_names, report_errors, results_in, rules
 from telenano_lab.studies import option_values
 from telenano_lab.studies.figure_colours import looks
 from telenano_lab.studies.image_files import write_images
@@ -23,6 +23,7 @@ _SEEDS, _QUICK_SEEDS = 100, 12
 _ASIDE_MS = 4.0
 
 
+@rules(Void("--seeds", f"with which there are {_QUICK_SEEDS} trials each", beside="--quick"))
 def push(
     out: OutOption,
     law: Annotated[
@@ -48,8 +49,6 @@ def push(
     with report_errors(as_json, INTERRUPTED):
         from telenano_lab.studies.loops.push_study import PLACED_M, PUSHES, REACTION_S, rows_of, trials_of
 
-        if quick:
-            refuse_unused({"--seeds": seeds}, f"with --quick there are {_QUICK_SEEDS} trials each: give one of both")
         delays, lost, laws = option_values.delays(delay), option_values.losses(loss), option_values.laws(law)
         trials = trials_of(laws, delays, lost, _QUICK_SEEDS if quick else seeds or _SEEDS)
         with sweep_in(out, workers, None, shown=not as_json, kind=PUSHES) as sweep:

@@ -16,9 +16,11 @@ from telenano.cli import (
     RigFileOption,
     StyleOption,
     TableOption,
+    Void,
     command_group,
     report_errors,
     results_in,
+    rules,
     table_formats,
     validated,
     with_options,
@@ -155,6 +157,16 @@ def transparency(
 
 
 @app.command()
+@rules(
+    Void(
+        "*",
+        "whose cells are drawn",
+        beside="--sample",
+        but="--sample-seed, --out, --site-file, --rig, --table, --json",
+    ),
+    Void("--sample-seed", "which draws", unless="--sample"),
+    Void("--delay", "whose delays are taken", beside="--network"),
+)
 @with_options(Axes, ("gains", *_ONE_LINK), _VALIDATE)
 def validate(
     given: dict[str, Any],

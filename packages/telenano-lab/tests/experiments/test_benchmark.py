@@ -40,9 +40,8 @@ from telenano_lab.experiments.benchmark_page import frontier_figure
 from telenano_lab.studies.loops.cells import STRUCK_FORCES
 from telenano_lab.studies.loops.sweep import Journal, Sweep
 
-from telenano.extend.virtual_impedance import VirtualImpedanceConfig
 from telenano.lockstep import Schedule
-from telenano.sections import LAWS
+from telenano.sections import LAWS, VirtualImpedanceConfig
 from telenano.settings import profile_named
 from telenano.testing import invoke
 from telenano.wire import ConfigError

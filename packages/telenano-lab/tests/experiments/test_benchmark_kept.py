@@ -137,4 +137,4 @@ def test_the_command_ends_with_1_where_a_run_differs(tmp_path: Path, monkeypatch
     refused = invoke([*command, "--quick"])
     assert refused.exit_code not in (0, 1) or "--quick" in refused.output
     unused = invoke(["benchmark", "--task", "touch", "--out", str(tmp_path / "out")])
-    assert "--task: without `cell` the whole set is run" in unused.output
+    assert "--task: not without cell, without which the whole set is run" in unused.output

@@ -1,10 +1,10 @@
 """A program of the instrument as a person sees it: its bar, and the options that a running rig decides."""
 
 import msgspec
-import pytest
-from telenano_lab.microscopy.program_view import bar_of, refuse_foreign
+from telenano_lab.microscopy.program_view import bar_of
 
-from telenano.wire import AfmProgram, ConfigError
+from telenano.testing import run
+from telenano.wire import AfmProgram
 
 
 def test_a_bar_shows_how_far_it_is_and_the_keys() -> None:
@@ -19,6 +19,5 @@ def test_a_bar_shows_how_far_it_is_and_the_keys() -> None:
 
 
 def test_options_that_the_rig_decides_are_refused_by_name() -> None:
-    refuse_foreign({"--afm": None, "--set": []})
-    with pytest.raises(ConfigError, match="--afm, --mode tapping: not with --live: the scenario of the rig decides it"):
-        refuse_foreign({"--afm": ["a=1"], "--set": None, "--mode tapping": True})
+    code, _, err = run("scan", "--out", "out", "--live", "--afm", "a=1", "--temperature", "300")
+    assert code == 2 and "--afm, --temperature: not with --live, whose scenario decides it" in err

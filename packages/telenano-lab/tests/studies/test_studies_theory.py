@@ -23,8 +23,7 @@ from telenano_lab.studies.loops.theory import (
     wave_hybrid,
 )
 
-from telenano.extend.virtual_impedance import VirtualImpedanceConfig
-from telenano.sections import LAWS, HapticConfig
+from telenano.sections import LAWS, HapticConfig, VirtualImpedanceConfig
 
 OMEGA = np.geomspace(0.1, 3000.0, 2000)
 PERIOD_S = 1e-3

@@ -12,8 +12,8 @@ from typing import NamedTuple
 import msgpack
 
 from telenano.wire import TOPICS
-from telenano_wide_area.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES
-from telenano_wide_area.sealed import RejectedError
+from telenano_wide_area.datagram.sealing import OVERHEAD_BYTES
+from telenano_wide_area.sealed import MOST_BYTES, RejectedError
 
 # The order is that of their numbers on the wire, so new topics are added at the end.
 DATAGRAM_TOPICS = ("teleop/forward", "teleop/backward", "law/status")

@@ -42,10 +42,10 @@ from telenano_wide_area.datagram.place import Address, Place
 from telenano_wide_area.datagram.rate import Delivery
 from telenano_wide_area.datagram.reception import Reception, Way
 from telenano_wide_area.datagram.report import network_report
-from telenano_wide_area.datagram.sealing import MOST_BYTES, OVERHEAD_BYTES, TAG_BYTES, Opener
+from telenano_wide_area.datagram.sealing import OVERHEAD_BYTES, TAG_BYTES, Opener
 from telenano_wide_area.datagram.sparse import SparseSamples, Taken, carried_by_tcp
 from telenano_wide_area.relay.path import RelayPath
-from telenano_wide_area.sealed import RejectedError
+from telenano_wide_area.sealed import MOST_BYTES, RejectedError
 from telenano_wide_area.settings import DatagramSettings
 
 # The number of datagrams after which the node looks at its deadline again, so that a flood cannot hold its loop.

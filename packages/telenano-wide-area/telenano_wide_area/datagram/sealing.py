@@ -25,8 +25,6 @@ from telenano_wide_area.sealed import RejectedError
 HEADER = struct.Struct("!4sQ")
 # A sealed datagram is longer than its body by this.
 OVERHEAD_BYTES = HEADER.size + 16
-# A size that every network carries in one piece, with the headers of a tunnel.
-MOST_BYTES = 1200
 TAG_BYTES = 4
 _NUMBER_LIMIT = 2**63
 # Twice the rate of a controller with the shortest period that its settings allow, with its reports [1/s].

@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from telenano.runtime import KeyPair
-from telenano_wide_area.datagram.sealing import MOST_BYTES
 from telenano_wide_area.relay.channel import Budget
 from telenano_wide_area.relay.protocol import (
     COOKIE,
@@ -26,7 +25,7 @@ from telenano_wide_area.relay.protocol import (
     parse_request,
     unpack,
 )
-from telenano_wide_area.sealed import RejectedError
+from telenano_wide_area.sealed import MOST_BYTES, RejectedError
 
 Address = tuple[Any, ...]
 Pair = tuple[bytes, bytes]

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from telenano.cli import SiteFileOption, report_errors
+from telenano.cli import SiteFileOption, Void, report_errors, rules
 from telenano.runtime import AccessControl, AddressBook, StructuredLog, beside_the_loop
 from telenano.settings import TWO_SITES_FILE
 from telenano.wire import ConfigError
@@ -13,6 +13,10 @@ from telenano_wide_area.relay.server import DEFAULT_PORT, Relay
 from telenano_wide_area.relay.site_end import site_end, until_stopped
 
 
+@rules(
+    Void("--listen, --mbit-per-s", "which runs the end of one site alone", beside="--join"),
+    Void("--site-file, --rig", "whose end is run", unless="--join"),
+)
 def relay(
     listen: Annotated[
         str,

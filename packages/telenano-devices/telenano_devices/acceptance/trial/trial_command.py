@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from telenano.cli import report_errors
+from telenano.cli import Void, report_errors, rules
 from telenano.settings import flag_overrides
 from telenano.wire import ConfigError, TelenanoError
 from telenano_devices.acceptance.accept_command import MassOption, SettingsOption, StopOption
@@ -21,6 +21,7 @@ _NOT_PASSED = 1
 _OPENED = "the device answers and says who it is"
 
 
+@rules(Void("*", "which makes the page of a file, and tries no device", beside="--read"))
 def trial(
     driver: Annotated[
         str | None,
@@ -52,8 +53,6 @@ def trial(
         from telenano_devices.acceptance.trial.trial_file import read_trial
 
         if read is not None:
-            if driver is not None:
-                raise ConfigError(f"--read {read}: makes the page of a file, and tries no device: leave {driver} out")
             trial_read = read_trial(read)
             typer.echo(sheet_of(trial_read), nl=False)
             if others := judged_again(trial_read):

@@ -31,18 +31,19 @@ from telenano_lab.studies.loops.links import Uneven, symmetric_link, uneven_sche
 from telenano_lab.studies.loops.theory import Series
 
 ENVIRONMENTS = ("spring", "wall", "tip_sample", "body")
+PACKAGE_SAMPLES = SAMPLES.all().found
 if TYPE_CHECKING:
     Environment = str
 else:
     # The environments include the samples of installed packages.
-    Environment = Literal[(*ENVIRONMENTS, *SAMPLES.found)]
+    Environment = Literal[(*ENVIRONMENTS, *PACKAGE_SAMPLES)]
 # K of the theory's examples [N/m]; in the contact it is the cantilever's k of Table 2.
 DEFAULT_STIFFNESS: dict[str, tuple[float, ...]] = {
     "spring": (10.0, 20.0, 38.0),
     "wall": (10.0, 38.0),
     "tip_sample": (40.0,),
     "body": (20.0,),
-    **{name: (model.stiffness_n_per_m,) for name, model in SAMPLES.found.items()},
+    **{name: (model.stiffness_n_per_m,) for name, model in PACKAGE_SAMPLES.items()},
 }
 
 _LEVELS_N: dict[str, tuple[float, ...]] = {
@@ -244,8 +245,8 @@ class Cell(Conditions):
             per_newton_m += 1.0 / (scales.force_scale * CANTILEVER_N_PER_M)
         if self.environment == "tip_sample":
             first_m, per_newton_m = _CONTACT_M, _CONTACT_M_PER_N
-        if self.environment in SAMPLES.found:
-            first_m = getattr(SAMPLES.found[self.environment].config(), "rest_distance_m", 0.0)
+        if self.environment in PACKAGE_SAMPLES:
+            first_m = getattr(PACKAGE_SAMPLES[self.environment].config(), "rest_distance_m", 0.0)
         arm_m_per_n = 1.0 / arm.stiffness_n_per_m
         path = []
         for time, force in points:
@@ -507,7 +508,7 @@ def _instrument(environment: Environment, stiffness_n_per_m: float, mass_kg: flo
         return AfmConfig.model_validate({"cantilever": {"stiffness_n_per_m": stiffness_n_per_m}}).to_params()
     # The spring also pulls, so the session begins at its rest position, not at a retracted base.
     section: dict[str, Any] = {"environment": environment, "safety": {"retract_position_m": 0.0}}
-    if environment in SAMPLES.found:
+    if environment in PACKAGE_SAMPLES:
         section[environment] = sample_config(environment, stiffness_n_per_m)
         return AfmConfig.model_validate(section).to_sample_params()
     rest_m = 0.0 if environment == "spring" else WALL_DISTANCE_M
@@ -524,7 +525,7 @@ def _instrument(environment: Environment, stiffness_n_per_m: float, mass_kg: flo
 
 def sample_config(environment: str, stiffness_n_per_m: float) -> Any:
     """Return the settings of a package's sample, with a stiffness [N/m] if they have one."""
-    config = SAMPLES.found[environment].config
+    config = PACKAGE_SAMPLES[environment].config
     settings = {"stiffness_n_per_m": stiffness_n_per_m} if "stiffness_n_per_m" in config.model_fields else {}
     return validate(config, settings, "--stiffness", environment)
 

@@ -35,9 +35,10 @@ from telenano.analysis import Session
 from telenano.cli import run_session
 from telenano.lockstep import Trajectory
 from telenano.recording import Recording, Timeline, last_force_profile
-from telenano.sections import SAMPLES, AfmConfig
+from telenano.sections import AfmConfig
 from telenano.wire import ConfigError, RecordingError, RigError, TelenanoError
 from telenano_lab.studies.loops.cells import (
+    PACKAGE_SAMPLES,
     WALL_DISTANCE_M,
     Cell,
     judged,
@@ -150,7 +151,7 @@ def _instrument_section(cell: Cell) -> dict[str, Any]:
         return {"cantilever": {"stiffness_n_per_m": cell.stiffness_n_per_m}}
     if cell.environment == "body":
         raise ConfigError("--environment body: the AFM node cannot simulate a body; give spring, wall or tip_sample")
-    if cell.environment in SAMPLES.found:
+    if cell.environment in PACKAGE_SAMPLES:
         settings = sample_config(cell.environment, cell.stiffness_n_per_m).model_dump(mode="json")
         return {"environment": cell.environment, cell.environment: settings, "safety": {"retract_position_m": 0.0}}
     if "environment" not in AfmConfig.model_fields:

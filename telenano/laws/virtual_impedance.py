@@ -9,13 +9,10 @@ the loop gain (K_f + 1) alpha_f alpha_p K e^(-sT) / (M_v s^2 + B_v s + K_v), and
 
 from typing import NamedTuple
 
-from telenano.extend import pass_through
-from telenano.extend.laws import HandSample, Law, MasterReference, PortSignal, port_signal
-from telenano.extend.ranges import parameter
-from telenano.extend.virtual_mass import FARTHEST_M, FASTEST_M_PER_S, ScaledConfig, at_hand, bounded
+from telenano.extend.laws import HandSample, MasterReference, PortSignal, port_signal
+from telenano.extend.virtual_mass import FARTHEST_M, FASTEST_M_PER_S, at_hand, bounded
 from telenano.numerics.compiler import compiled
-from telenano.numerics.discretisation import Discretisation, exact_discretisation
-from telenano.settings.config import filled
+from telenano.numerics.discretisation import Discretisation
 
 
 class VirtualImpedanceParams(NamedTuple):
@@ -29,29 +26,7 @@ class VirtualImpedanceParams(NamedTuple):
     impedance: Discretisation
 
 
-class ImpedanceConfig(ScaledConfig):
-    """A virtual impedance; the defaults are the paper's values in SI units (E8)."""
-
-    mass_kg: float = parameter(10.0, "kg", "Virtual mass M_v [kg]")
-    damping_n_s_per_m: float = parameter(2000.0, "N s/m", "Virtual damping B_v [N s/m]", zero=True)
-    stiffness_n_per_m: float = parameter(0.0, "N/m", "Virtual stiffness K_v [N/m]", zero=True)
-    force_gain: float = parameter(20.0, "1", "Gain of the force error K_f")
-
-    def impedance_params(self, period_s: float) -> VirtualImpedanceParams:
-        """Return the constants of the impedance for a period [s] of the hand."""
-        step = exact_discretisation(self.mass_kg, self.damping_n_s_per_m, self.stiffness_n_per_m, period_s)
-        return filled(VirtualImpedanceParams, self, period_s=period_s, impedance=step)
-
-
-class VirtualImpedanceConfig(ImpedanceConfig):
-    """Section `controller.virtual_impedance`."""
-
-    def to_params(self, period_s: float) -> VirtualImpedanceParams:
-        """Return the constants of the compiled steps for a period [s] of the hand."""
-        return self.impedance_params(period_s)
-
-
-class MasterState(NamedTuple):
+class ImpedanceState(NamedTuple):
     """The virtual mass: x [m], x' [m/s], and the offset [m] at the tip that a change of scale leaves behind."""
 
     position_m: float
@@ -60,22 +35,22 @@ class MasterState(NamedTuple):
 
 
 @compiled
-def master_start(params: VirtualImpedanceParams, hand: HandSample) -> MasterState:
+def master_start(params: VirtualImpedanceParams, hand: HandSample) -> ImpedanceState:
     """Start with the virtual mass at rest at the hand's position."""
-    return MasterState(hand.position_m, 0.0, 0.0)
+    return ImpedanceState(hand.position_m, 0.0, 0.0)
 
 
 @compiled
-def master_resume(params: VirtualImpedanceParams, hand: HandSample, tip_reference_m: float) -> MasterState:
+def master_resume(params: VirtualImpedanceParams, hand: HandSample, tip_reference_m: float) -> ImpedanceState:
     """Continue with the hand's motion; the offset keeps the tip's reference where it is."""
     offset = tip_reference_m - params.position_scale * hand.position_m
-    return MasterState(hand.position_m, hand.velocity_m_per_s, offset)
+    return ImpedanceState(hand.position_m, hand.velocity_m_per_s, offset)
 
 
 @compiled
 def master_send(
-    params: VirtualImpedanceParams, state: MasterState, hand: HandSample, dt: float
-) -> tuple[MasterState, PortSignal]:
+    params: VirtualImpedanceParams, state: ImpedanceState, hand: HandSample, dt: float
+) -> tuple[ImpedanceState, PortSignal]:
     """Return the slave's reference: x_sr = alpha_p x (Eq. 15)."""
     position = params.position_scale * state.position_m + state.tip_offset_m
     velocity = params.position_scale * state.velocity_m_per_s
@@ -85,8 +60,8 @@ def master_send(
 
 @compiled
 def master_receive(
-    params: VirtualImpedanceParams, state: MasterState, hand: HandSample, signal: PortSignal, dt: float
-) -> tuple[MasterState, MasterReference]:
+    params: VirtualImpedanceParams, state: ImpedanceState, hand: HandSample, signal: PortSignal, dt: float
+) -> tuple[ImpedanceState, MasterReference]:
     """Integrate the virtual impedance over dt [s], a whole number of periods (Eq. 16-17).
 
     While a device does not follow, or the other half is silent for longer than the limit, the virtual mass stays with
@@ -97,7 +72,7 @@ def master_receive(
     may = at_hand(params, hand, signal, False, 0.0, dt, False)
     if not may.acts:
         offset = 0.0 if may.renews else _offset_that_keeps(params, state, hand.position_m)
-        held = MasterState(hand.position_m, 0.0, offset)
+        held = ImpedanceState(hand.position_m, 0.0, offset)
         return held, MasterReference(hand.position_m, 0.0, scaled_force if may.coupled else 0.0, may.coupled)
     drive = params.force_gain * (hand.force_n - scaled_force) - scaled_force
     step = params.impedance
@@ -108,26 +83,23 @@ def master_receive(
             step.phi_vx * x + step.phi_vv * v + step.gamma_v * drive,
         )
     x, v = bounded(x, FARTHEST_M), bounded(v, FASTEST_M_PER_S)
-    return MasterState(x, v, state.tip_offset_m), MasterReference(x, v, scaled_force, True)
+    return ImpedanceState(x, v, state.tip_offset_m), MasterReference(x, v, scaled_force, True)
 
 
 @compiled
-def _offset_that_keeps(params: VirtualImpedanceParams, state: MasterState, position_m: float) -> float:
+def _offset_that_keeps(params: VirtualImpedanceParams, state: ImpedanceState, position_m: float) -> float:
     """Return the offset that keeps the tip's reference constant while the virtual mass is moved to the hand [m]."""
     return state.tip_offset_m + params.position_scale * (state.position_m - position_m)
 
 
 @compiled
-def retune(old: VirtualImpedanceParams, new: VirtualImpedanceParams, state: MasterState) -> MasterState:
+def retune(old: VirtualImpedanceParams, new: VirtualImpedanceParams, state: ImpedanceState) -> ImpedanceState:
     """Keep the tip's reference constant when alpha_p changes; position and velocity of the hand continue."""
     offset = state.tip_offset_m + (old.position_scale - new.position_scale) * state.position_m
-    return MasterState(state.position_m, state.velocity_m_per_s, offset)
+    return ImpedanceState(state.position_m, state.velocity_m_per_s, offset)
 
 
 def rest_force(params: VirtualImpedanceParams, force_n: float) -> float:
     """Return alpha_f F_s = F_m / (1 + 1/K_f) [N]; NaN with a virtual spring, whose force depends on the position."""
     gain = params.force_gain
     return gain / (1.0 + gain) * force_n if abs(params.impedance.phi_xx - 1.0) < 1e-12 else float("nan")
-
-
-VIRTUAL_IMPEDANCE = Law.of(__name__, VirtualImpedanceConfig, slave=pass_through)
