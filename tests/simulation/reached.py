@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from itertools import pairwise
 
-from outside_judge import HAND, LINK, TIP, Fields, Newest, Seen, Session
+from session_files import HAND, LINK, TIP, Fields, Newest, Seen, Session
 
 Stretch = tuple[float, float]
 
