@@ -25,24 +25,19 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.analysis.interruptions import DEADLINE, REPORTED_WITHIN_S, Interruption, in_words
-from telenano.analysis.modes import solved
-from telenano.analysis.read_out import Noise, centred, free_noise, reach_of, rms, rounding_of, total, white_noise_of
+from telenano.analysis.modes import LEAST_SAMPLES, centred, rms
 from telenano.analysis.swings import Swing, swings_of
-from telenano.analysis.verdict import Cause, Kind, Verdict, judge
-from telenano.analysis.verdict_thresholds import (
-    COUPLED_SHARE,
+from telenano.analysis.verdict import (
     ERROR_SHARE,
-    HAND_LAG_S,
-    LATE_S,
-    LEAST_SAMPLES,
     LEAST_TURNS,
-    PARTED_M,
-    SHORTEST_HOLD_S,
     SMALL_SHARE,
-    STEADY_SHARE,
-    WAY_TRIPS,
+    Kind,
+    Verdict,
+    judge,
+    noise_of,
+    reach_of,
+    rounding_of,
 )
-from telenano.analysis.verdict_thresholds import STRUCK_FORCES as STRUCK_FORCES
 from telenano.recording.silence import HAND, LONGEST_STEP_S
 
 Series = npt.NDArray[np.float64]
@@ -57,12 +52,26 @@ FactKind = Literal[
     "machine_late",
     "link_late",
     "contact_by_force",
-    "grows_small",
 ]
+
+# The thresholds of the episodes and of their facts; docs/studies.md has them in one table with those of the verdicts.
+# shortest hold [s]: a slow loop swings at some 5 Hz
+SHORTEST_HOLD_S = 0.5
+# change of the hand's force in a hold, as a share of its greatest [1]: sensors of hands resolve no less
+STEADY_SHARE = 0.01
+# greatest force or trembling at the tip, as a multiple of the hand's [1]: an undamped spring reaches twice a step
+STRUCK_FORCES = 2.0
+# greatest distance between hand and tip at rest, at the hand's scale [m]: three times the 0.33 mm by which 1 N moves
+# the hand on a sample of 20 N/m, which the default scales render as 3000 N/m
+PARTED_M = 1e-3
+# least lateness that is attributed to the machine or the link [s]: a fifth of the deadline of both devices
+LATE_S = 0.01
 
 # topics whose samples must not be missing
 TIP = "afm/state"
 ANSWERS = "haptic/command"
+# least share of a hold in which hand and tip must be coupled, so that it is judged as one of both [1]
+COUPLED_SHARE = 0.5
 # reasons that the instrument states if it withdraws for want of commands, and if its guard acts at all
 _STARVED = (DEADLINE, "hold_expired")
 _GUARDING = (*_STARVED, "force_limit", "lateral_limit", "force_invalid", "device_lost")
@@ -215,7 +224,6 @@ class SessionContext(NamedTuple):
     rest_force: Callable[[float], float] | None = None
     silences: Sequence[tuple[str, float, float]] = ()
     let_go: Sequence[tuple[float, float]] = ()
-    noise: Noise | None = None
 
 
 NO_CONTEXT = SessionContext()
@@ -339,11 +347,7 @@ def judge_holds(
         tip = tip._replace(in_contact=np.abs(scaled_force_n) > SMALL_SHARE * greatest)
     step_n = rounding_of(scaled_force_n)
     late = _late(context)
-    free = free_noise(_free(hand_time_s, hand_force_n, tip_time_s, scaled_force_n, tip, SMALL_SHARE * greatest))
-    free = context.noise if free is None else free
-    session = _Session(
-        hand_time_s, hand_force_n, tip_time_s, scaled_force_n, tip, context, greatest, step_n, late, free
-    )
+    session = _Session(hand_time_s, hand_force_n, tip_time_s, scaled_force_n, tip, context, greatest, step_n, late)
     if spans is not None:
         return [hold_judged for hold in spans if (hold_judged := _judge_hold(session, hold, spans)) is not None]
     away = absences(tip_time_s, tip, context)
@@ -375,17 +379,6 @@ def judge_holds(
     return sorted(judged, key=lambda hold: hold.start_s)
 
 
-def _free(
-    hand_s: Series, hand_n: Series, tip_s: Series, tip_n: Series, tip: Instrument, small_n: float
-) -> list[Series]:
-    """Return the force of the tip [N] in each stretch in which it touches nothing, follows, and no hand presses."""
-    idle = np.interp(tip_s, hand_s, np.abs(hand_n)) <= small_n
-    free = tip.following & ~tip.in_contact & idle & np.isfinite(tip_n)
-    edges = np.flatnonzero(np.diff(free, prepend=False, append=False)).reshape(-1, 2).tolist()
-    # Where a stretch begins and ends the tip snaps in, and off.
-    return [tip_n[first + (last - first) // 16 : last - (last - first) // 16] for first, last in edges]
-
-
 def _late(context: SessionContext) -> list[Late]:
     """Return the delays of machine and link in a session, in the order of time."""
     late = list(context.late)
@@ -415,7 +408,6 @@ class _Session(NamedTuple):
     greatest_n: float
     step_n: float
     late: list[Late]
-    free: Noise | None = None
 
     @property
     def small_n(self) -> float:
@@ -544,8 +536,6 @@ def _judge_hold(session: _Session, hold: tuple[float, float, float], holds: Sequ
         if left_s < first.end_s - 0.125 * (first.end_s - first.start_s):
             words = f"the tip left the surface at {left_s:.3f} s, and stayed away"
             verdict = verdict._replace(kind="contact_lost", reason=words)
-    if first is not None and away is None:
-        verdict = _seen_long_enough(session, first, verdict)
     judged = Hold(start, end, force, *verdict[:5], coupled_share=share)
     if first is not None:
         rests = verdict.kind == "stable" and verdict.rest_from_s is not None
@@ -555,19 +545,7 @@ def _judge_hold(session: _Session, hold: tuple[float, float, float], holds: Sequ
     if len(tip_n) and (tip_n > session.small_n).all():
         judged = judged._replace(hold_ratio=float((hand_n / tip_n).mean()))
     before_s = max((one[1] for one in holds if one[1] <= start), default=float(session.hand_s[0]))
-    facts = _facts(session, judged, episodes, before_s, tip_n)
-    if verdict.cause is Cause.GROWS_SMALL:
-        facts.append(Fact("grows_small", verdict.growth_per_s or 0.0, verdict.reason))
-    return judged._replace(facts=tuple(facts))
-
-
-def _seen_long_enough(session: _Session, part: Episode, verdict: Verdict) -> Verdict:
-    """Return a verdict, or that it cannot be said if a contact that no guard ended is short beside the round trip."""
-    least_s = WAY_TRIPS * session.known.transit_s
-    if verdict.kind not in ("diverged", "limit_cycle") or part.end_s - part.start_s >= least_s:
-        return verdict
-    words = f"{verdict.reason}, and the force may be on its way: a hold of {least_s:.2g} s or more would decide"
-    return verdict._replace(kind="cannot_say", reason=words)
+    return judged._replace(facts=tuple(_facts(session, judged, episodes, before_s, tip_n)))
 
 
 def hold_forces(
@@ -637,10 +615,7 @@ def _judge_motion(session: _Session, part: Episode, force_n: float) -> Verdict:
     tip_n, rest_n = _without_hand(session, part.start_s, part.end_s), session.rest_n(force_n)
 
     def judged(samples: slice) -> Verdict:
-        known = session.step_n, session.free, session.known.transit_s
-        return judge(
-            tip_s[samples], tip_n[samples], session.greatest_n, rest_n, known[0], free=known[1], trip_s=known[2]
-        )
+        return judge(tip_s[samples], tip_n[samples], session.greatest_n, rest_n, session.step_n)
 
     # Judge the motion since the landing of the tip, and the whole one: the milder verdict counts.
     verdicts = [judged(slice(first, None)) for first in dict.fromkeys((_landed(touches), 0))]
@@ -677,31 +652,23 @@ def _landed(in_contact: npt.NDArray[np.bool_]) -> int:
 def _without_hand(session: _Session, start_s: float, end_s: float) -> Series:
     """Return the tip's force in a span without the part that follows the trembling of the hand [N].
 
-    The part is fitted to the last half, because dying modes spoil a fit before, by what the hand did up to HAND_LAG_S
-    and a transit before. It is never larger than the trembling: a law does not amplify the hand, except by a swing of
-    its own.
+    The hand's force acts on the tip with a delay of 0 to the transit; it is subtracted with the delay and the gain, 0
+    to 1.5, that leave the smallest residual. A law does not amplify the hand, except by a swing of its own.
     """
     part = session.at(start_s, end_s)
-    tip_n, tip_s = session.tip_n[part], session.tip_s[part]
+    tip_n = session.tip_n[part]
     hand = slice(*np.searchsorted(session.hand_s, (start_s, end_s)).tolist())
     if not session.hand_n[hand].size or float(np.ptp(session.hand_n[hand])) <= STEADY_SHARE * session.greatest_n:
         return tip_n
-    lags_s = np.linspace(0.0, HAND_LAG_S + session.known.transit_s, 13).tolist()
-    half, level = len(tip_n) // 2, total(session.hand_n[hand]) / len(session.hand_n[hand])
-    # What the hand did before it came to its force is no trembling.
-    since_s = np.maximum(tip_s[:, None] - np.array(lags_s), start_s)
-    columns = [np.interp(own, session.hand_s, session.hand_n) - level for own in since_s.T]
-    late = [centred(own[half:]) for own in columns]
-    moved = centred(tip_n[half:])
-    matrix = [[total(one * other) for other in late] for one in late]
-    for k in range(len(late)):
-        matrix[k][k] += 1e-3 * matrix[0][0]
-    weights = solved(matrix, [[total(own * moved)] for own in late])
-    follows = np.zeros_like(tip_n)
-    for (weight,), own in zip(weights, columns, strict=True):
-        follows = follows + weight * own
-    most = min(1.0, rms(centred(columns[0])) / max(rms(centred(follows)), 1e-300))
-    return tip_n - most * centred(follows)
+    best, left = tip_n, float(np.ptp(tip_n)) ** 2 * len(tip_n)
+    for share in np.linspace(0.0, 1.0, 11).tolist():
+        trembling = np.interp(session.tip_s[part] - share * session.known.transit_s, session.hand_s, session.hand_n)
+        bare, moved = centred(trembling), centred(tip_n)
+        gain = float(np.cumsum(bare * moved)[-1]) / max(float(np.cumsum(bare * bare)[-1]), 1e-300)
+        rest = moved - min(max(gain, 0.0), 1.5) * bare
+        if (own := float(np.cumsum(rest * rest)[-1])) < left:
+            best, left = tip_n - min(max(gain, 0.0), 1.5) * bare, own
+    return best
 
 
 def _late_words(late: Sequence[Late]) -> str:
@@ -771,7 +738,7 @@ def _facts(session: _Session, hold: Hold, episodes: Sequence[Episode], before_s:
     pressed_n = float(session.hand_n[hand].max(initial=max(abs(force), session.small_n)))
     pressing = session.tip_n[part][session.tip.following[part]]
     # The greatest excursion of noise is not part of a blow.
-    blow_n = float(pressing.max(initial=0.0)) - reach_of(_white_n(pressing, session.step_n), len(pressing))
+    blow_n = float(pressing.max(initial=0.0)) - reach_of(noise_of(pressing, session.step_n), len(pressing))
     if blow_n > STRUCK_FORCES * pressed_n:
         text = f"struck with {blow_n:.3g} N, {blow_n / pressed_n:.3g} times the force of the hand"
         facts.append(Fact("struck", blow_n, text))
@@ -789,11 +756,6 @@ def _facts(session: _Session, hold: Hold, episodes: Sequence[Episode], before_s:
         text = f"contact is taken from the force, above {session.small_n:.2g} N"
         facts.append(Fact("contact_by_force", session.small_n, text))
     return facts
-
-
-def _white_n(values: Series, step_n: float) -> float:
-    """Return the standard deviation of the white noise of a read-out, of which its steps are a part [N]."""
-    return max(white_noise_of(values) if len(values) >= LEAST_SAMPLES else 0.0, step_n / math.sqrt(12.0))
 
 
 def _rest_facts(session: _Session, hold: Hold, before_s: float, mean_n: float) -> list[Fact]:

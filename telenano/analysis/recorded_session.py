@@ -22,7 +22,9 @@ from telenano.analysis.felt_stiffness import (
 )
 from telenano.analysis.fig12 import SessionSeries, TipStates
 from telenano.analysis.holds import (
+    LATE_S,
     NO_CONTEXT,
+    SHORTEST_HOLD_S,
     TIP,
     Guard,
     Incident,
@@ -34,10 +36,7 @@ from telenano.analysis.holds import (
 )
 from telenano.analysis.interruptions import Interruption, ModeReport, interruptions_of
 from telenano.analysis.line_states import line_states
-from telenano.analysis.read_out import Noise
-from telenano.analysis.stated_noise import stated_noise
 from telenano.analysis.summary import tip_columns
-from telenano.analysis.verdict_thresholds import LATE_S, SHORTEST_HOLD_S
 from telenano.extend.advice import ADVICE
 from telenano.recording.arrays import in_step
 from telenano.recording.messages import LeftOut, readable
@@ -305,7 +304,6 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
             _rest_force(document, facts, f"{recording.path}: scenario.yaml"),
             [(one.topic, one.start_s, one.end_s) for one in silences],
             _let_go(hand, start_ns),
-            _stated_noise(document, facts),
         ),
         knows_contact=_knows_contact(document, tip["separation_m"]),
     )
@@ -383,16 +381,6 @@ def _limits(document: Scenario, changed: Sequence[str]) -> Limits | None:
     # Only this part is validated, because the rest of the section may belong to a package.
     safety = validate(SafetyConfig, document.afm_node.get("safety", {}), "scenario.yaml", "afm_node.safety")
     return Limits(safety.force_limit_n, safety.command_deadline_s + safety.hold_time_s)
-
-
-def _stated_noise(document: Scenario, facts: Mapping[str, Any]) -> Noise | None:
-    """Return the noise that a simulated instrument states [N]; None of a package's own, or if it was changed."""
-    if any("afm_node." in change for change in facts["changed"]):
-        return None
-    try:
-        return stated_noise(AfmConfig.model_validate(document.afm_node), facts["parameters"]["force_scale"])
-    except ValueError:
-        return None
 
 
 def planned_holds(scenario: Scenario, end_s: float) -> list[tuple[float, float, float]]:

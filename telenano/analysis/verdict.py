@@ -4,9 +4,9 @@
     judge(time_s, force_n, hand_force_n=1.0).kind          # "limit_cycle"
 
 `judge` takes the force at the tip in one episode (`telenano.analysis.holds`): contact under a constant force with the
-loop closed. `telenano.analysis.decision` decides by what the force does beyond the noise of the read-out
-(`telenano.analysis.read_out`), and by modes (`telenano.analysis.modes`) where it turns seldom. The result is a value
-(`telenano.analysis.findings`), which is put into a sentence last (`telenano.analysis.verdict_sentences`).
+loop closed. `telenano.analysis.decision` decides from the fits of parts of the motion (`telenano.analysis.motion_fit`)
+and from its envelope (`telenano.analysis.envelope`). The result is a value (`telenano.analysis.findings`), which is put
+into a sentence last (`telenano.analysis.verdict_sentences`).
 """
 
 from typing import NamedTuple
@@ -14,13 +14,24 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from telenano.analysis.decision import Motion, decide
+from telenano.analysis.decision import decide
 from telenano.analysis.findings import Cause as Cause
 from telenano.analysis.findings import Finding as Finding
 from telenano.analysis.findings import Kind as Kind
-from telenano.analysis.read_out import Noise, even, noise_in, rounding_of
+from telenano.analysis.modes import LEAST_SAMPLES
+from telenano.analysis.motion_fit import Motion
+from telenano.analysis.read_out import even
+from telenano.analysis.read_out import noise_of as noise_of
+from telenano.analysis.read_out import reach_of as reach_of
+from telenano.analysis.read_out import rounding_of as rounding_of
 from telenano.analysis.verdict_sentences import sentence
-from telenano.analysis.verdict_thresholds import ERROR_SHARE, LEAST_SAMPLES
+from telenano.analysis.verdict_thresholds import ERROR_SHARE as ERROR_SHARE
+from telenano.analysis.verdict_thresholds import LEAST_CHANGE as LEAST_CHANGE
+from telenano.analysis.verdict_thresholds import LEAST_TURNS as LEAST_TURNS
+from telenano.analysis.verdict_thresholds import LIKELY_ERRORS as LIKELY_ERRORS
+from telenano.analysis.verdict_thresholds import ONE_SIDED_CHANGE as ONE_SIDED_CHANGE
+from telenano.analysis.verdict_thresholds import SMALL_SHARE as SMALL_SHARE
+from telenano.analysis.verdict_thresholds import SURE_ERRORS as SURE_ERRORS
 
 Series = npt.NDArray[np.float64]
 
@@ -28,9 +39,9 @@ Series = npt.NDArray[np.float64]
 class Verdict(NamedTuple):
     """Verdict on a motion.
 
-    growth_per_s: growth of the motion that decides [1/s], None if nothing moves; peak_to_peak_n: how far the force goes
-    in the last part, beyond the noise [N]; noise_n: standard deviation of the read-out's white noise [N]; reason: the
-    verdict in words; rest_from_s: start of the rest [s], None without one; cause: the reason as a value.
+    growth_per_s: growth of the mode that decides [1/s], None if nothing moves; peak_to_peak_n: size of the motion that
+    decides, at its end, without noise [N]; noise_n: standard deviation of the read-out's noise [N]; reason: the verdict
+    in words; rest_from_s: start of the rest [s], None without one; cause: the reason as a value.
     """
 
     kind: Kind
@@ -43,14 +54,7 @@ class Verdict(NamedTuple):
 
 
 def judge(
-    time_s: Series,
-    force_n: Series,
-    hand_force_n: float,
-    rest_n: float | None = None,
-    step_n: float | None = None,
-    *,
-    free: Noise | None = None,
-    trip_s: float = 0.0,
+    time_s: Series, force_n: Series, hand_force_n: float, rest_n: float | None = None, step_n: float | None = None
 ) -> Verdict:
     """Judge the motion of an episode.
 
@@ -61,8 +65,6 @@ def judge(
         rest_n: The force at which the law rests [N], None if the law does not state it: an approach to it is stable.
         step_n: The step of a read-out that rounds [N], as `rounding_of` finds it in the whole recording, 0 if it does
             not round; None finds it in the episode, where a motion between two values looks like rounding.
-        free: The noise of the free tip, at the same rate of samples; None if it is not known.
-        trip_s: The round trip of the line [s].
 
     Raises:
         ValueError: The hand's force is not positive.
@@ -77,12 +79,12 @@ def judge(
         return _in_words(Finding("cannot_say", Cause.FEW_SAMPLES, size, samples=len(time_s)), 0.0)
     values, period_s = even(time_s, force_n)
     step = rounding_of(values) if step_n is None else step_n
-    noise = noise_in(values, free, step)
-    if noise.white_n > ERROR_SHARE * max(hand_force_n, float(np.ptp(values))):
+    noise = noise_of(values, step)
+    if noise > ERROR_SHARE * max(hand_force_n, float(np.ptp(values))):
         least_n = ERROR_SHARE * hand_force_n
-        return _in_words(Finding("cannot_say", Cause.HIDDEN_BY_NOISE, needs_noise_n=least_n), noise.white_n)
-    motion = Motion(values, period_s, float(time_s[-1]), hand_force_n, step, noise, free is not None, rest_n, trip_s)
-    return _in_words(decide(motion), noise.white_n)
+        return _in_words(Finding("cannot_say", Cause.HIDDEN_BY_NOISE, needs_noise_n=least_n), noise)
+    motion = Motion(values, period_s, float(time_s[-1]), hand_force_n, step, noise, rest_n)
+    return _in_words(decide(motion), noise)
 
 
 def _in_words(found: Finding, noise_n: float) -> Verdict:

@@ -1,7 +1,7 @@
 """Sentences for findings on a motion; for an undecided one they state what would decide it."""
 
 from telenano.analysis.findings import Cause, Finding
-from telenano.analysis.verdict_thresholds import LEAST_SAMPLES
+from telenano.analysis.modes import LEAST_SAMPLES
 
 
 def sentence(found: Finding, noise_n: float) -> str:
@@ -29,9 +29,8 @@ def sentence(found: Finding, noise_n: float) -> str:
         f"{found.needs_noise_n:.2g} N would decide",
         Cause.GROWS: f"a motion of {swing} grows by {rate:.3g}/s",
         Cause.GOES_ON: f"{cycle}{turns} neither grows nor dies out",
-        Cause.IRREGULAR: f"{cycle} continues irregularly, between {found.band_hz[0]:.2g} and {found.band_hz[1]:.2g} Hz",
+        Cause.IRREGULAR: f"{cycle} continues irregularly",
         Cause.AT_REST: f"at rest but for {found.decisive_n:.2g} N from peak to peak" if found.decisive_n else "at rest",
-        Cause.GROWS_SMALL: f"at rest but for {swing}, which grows by {rate:.3g}/s and is still small",
         Cause.DIES_OUT: f"the motion dies out by {-rate:.3g}/s{left}",
         Cause.MOVED: f"nothing swings, and the force moves by {found.decisive_n:.2g} N to one side",
         Cause.TO_THE_REST: f"the force goes to the rest of the law, {found.decisive_n:.2g} N are left",

@@ -24,7 +24,6 @@ def of_everything() -> dict[Path, str]:
     """Return the path and the text of each file that does not depend on the packages that are installed."""
     import command_page
     import command_table
-    import threshold_table
     import wire_contract
 
     from telenano.analysis.summary import markdown, summary_schema
@@ -35,7 +34,6 @@ def of_everything() -> dict[Path, str]:
     files[command_page.PAGE] = command_page.with_page(command_page.PAGE.read_text(encoding="utf-8"))
     files[SCHEMA_DIRECTORY / "summary.json"] = json.dumps(summary_schema(), indent=2) + "\n"
     files[ROOT / "docs" / "summary.md"] = markdown()
-    files[threshold_table.PAGE] = threshold_table.with_table(threshold_table.PAGE.read_text(encoding="utf-8"))
     felt = importlib.import_module("telenano_lab.studies.pages.felt_page")
     files[ROOT / "docs" / "felt-measured.md"] = felt.markdown()
     return files

@@ -61,13 +61,28 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/unit/recording/test_verify_missing.py",
         "tests/unit/recording/test_odd_times.py",
     ),
+    "telenano/analysis/motion_fit.py": (
+        "tests/unit/analysis/test_verdict_parts.py",
+        "tests/unit/analysis/test_verdict_pulses.py",
+        "tests/unit/analysis/test_verdict_noise.py",
+        "tests/unit/analysis/test_verdict.py",
+        "tests/verdicts/test_kept_verdicts.py",
+        "tests/verdicts/test_judge.py",
+    ),
+    "telenano/analysis/envelope.py": (
+        "tests/unit/analysis/test_verdict_parts.py",
+        "tests/unit/analysis/test_verdict_noise.py",
+        "tests/unit/analysis/test_verdict.py",
+        "tests/verdicts/test_kept_verdicts.py",
+        "tests/verdicts/test_judge.py",
+    ),
     "telenano/analysis/verdict.py": (
         "tests/unit/analysis/test_verdict.py",
         "tests/verdicts/test_kept_verdicts.py",
     ),
     "telenano/analysis/verdict_sentences.py": ("tests/unit/analysis/test_verdict_sentences.py",),
     "telenano/analysis/decision.py": (
-        "tests/unit/analysis/test_decision.py",
+        "tests/unit/analysis/test_verdict_parts.py",
         "tests/unit/analysis/test_verdict_noise.py",
         "tests/unit/analysis/test_verdict.py",
         "tests/verdicts/test_kept_verdicts.py",
@@ -255,11 +270,23 @@ EQUIVALENT: dict[str, dict[str, str]] = {
         '_Check._check_schema: pairs = zip(("seq", "t_ns", "src"), header, stated, strict=True)'
         " [True => False]": "there are three of each",
     },
+    "telenano/analysis/motion_fit.py": {
+        "Window.cycles: return mode.frequency_hz * self.length_s * (min(seen / change, 1.0) if change > seen else 1.0)"
+        " [change > seen => change >= seen]": "where both are equal their ratio is 1",
+    },
     "telenano/analysis/verdict.py": {
-        "judge: if noise.white_n > ERROR_SHARE * max(hand_force_n, float(np.ptp(values))): [noise.white_n >"
-        " ERROR_SHARE * max(hand_force_n, float(np.ptp(values))) => noise.white_n >= ERROR_SHARE * max(hand_force_n,"
+        "judge: if noise > ERROR_SHARE * max(hand_force_n, float(np.ptp(values))): [noise > ERROR_SHARE *"
+        " max(hand_force_n, float(np.ptp(values))) => noise >= ERROR_SHARE * max(hand_force_n,"
         " float(np.ptp(values)))]": "only noise of this size to its last bit is taken otherwise: the force of the hand"
         " is not nought",
+    },
+    "telenano/analysis/envelope.py": {
+        "has_line: if count < 2.0: [count < 2.0 => count <= 2.0]": "an octave has 2, 4, 8 or more lines, of"
+        " which three are never left beside one and its neighbours",
+    },
+    "telenano/analysis/read_out.py": {
+        "line_n: angle = 2.0 * math.pi * turns * np.arange(len(left)) / max(1, len(left) - 1) [1 => 2]": "no line is"
+        " looked for in two samples",
     },
     "telenano/analysis/conditions.py": {
         **{

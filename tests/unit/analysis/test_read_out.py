@@ -5,20 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from telenano.analysis.read_out import (
-    Noise,
-    even,
-    free_noise,
-    noise_in,
-    octaves_of,
-    power_within,
-    reach_of,
-    rms,
-    rounding_of,
-    white_noise_of,
-    white_share,
-)
-from telenano.analysis.verdict_thresholds import LEAST_SAMPLES, NOISE_AGREES
+from telenano.analysis.modes import LEAST_SAMPLES
+from telenano.analysis.read_out import even, gone_of, line_n, moved_of, noise_of, reach_of, rounding_of
 
 COUNT = 4000
 
@@ -51,68 +39,13 @@ def test_a_force_that_changes_between_two_values_rounds_if_it_turns_twice() -> N
     assert rounding_of(np.repeat([0.0, 0.3, 0.2], COUNT)) == pytest.approx(0.1)
 
 
-def pink(seed: int, count: int) -> np.ndarray:
-    """Return noise with the same power in each octave down to a fourth of its inverse length."""
-    lines = np.fft.rfft(white(1.0, seed, 4 * count))
-    values = np.fft.irfft(lines / np.sqrt(np.maximum(np.arange(len(lines)), 1.0)))[:count]
-    return np.asarray(values / values.std())
-
-
-def test_the_octaves_of_a_series_and_the_means_that_are_left_are_the_series() -> None:
-    values = np.cumsum(white(1.0, 4, 1000))
-    octaves = list(octaves_of(values))
-    assert sum(own for own, _ in octaves) + octaves[-1][1] == pytest.approx(values, abs=1e-9)
-    # The means of the slowest are over a quarter to either side at most.
-    assert len(octaves) == 7
-
-
-@pytest.mark.parametrize("octave", [0, 1, 2, 3, 4])
-def test_the_share_of_white_noise_in_an_octave_is_that_of_its_means(octave: int) -> None:
-    own = next(own for k, (own, _) in enumerate(octaves_of(white(1.0, 5, 60_000))) if k == octave)
-    assert rms(own) ** 2 == pytest.approx(white_share(octave), rel=0.06)
-
-
-def test_noise_is_measured_in_the_longest_stretch_of_the_free_tip() -> None:
-    noise = 0.02 * pink(1, 8000) + white(0.01, 2, 8000)
-    measured = free_noise([noise[:70], noise])
-    assert measured is not None and measured.samples == 8000
-    assert measured.white_n == pytest.approx(0.012, rel=0.3)
-    for octave, (own, _) in enumerate(octaves_of(noise)):
-        told = measured.white_n**2 * white_share(octave) + measured.in_octave(octave)
-        assert told == pytest.approx(rms(own) ** 2, rel=0.8), octave
-    assert free_noise([noise[: 4 * LEAST_SAMPLES - 1]]) is None and free_noise([]) is None
-    # A snap into contact in an eighth of it is passed over.
-    snap = np.where(np.arange(8000) // 300 == 9, 1.0, 0.0)
-    again = free_noise([noise + snap])
-    assert again is not None and max(again.octaves_n2) < 2.0 * max(measured.octaves_n2)
-
-
-def test_a_hold_has_no_more_white_noise_than_the_free_tip_but_that_of_its_steps() -> None:
-    quiet = white(0.02, 2)
-    assert noise_in(quiet, None, 0.0).white_n == pytest.approx(0.02, rel=0.1)
-    assert noise_in(quiet, Noise(0.004, (1e-6,)), 0.0) == Noise(NOISE_AGREES * 0.004, (NOISE_AGREES**2 * 1e-6,))
-    assert noise_in(quiet, None, 0.24).white_n == pytest.approx(0.4 * 0.24)
+def test_the_noise_of_a_read_out_is_no_less_than_that_of_its_steps() -> None:
+    quiet, loud = white(0.02, 2), white(0.02, 3)
+    assert noise_of(quiet, 0.0) == pytest.approx(0.02, rel=0.1)
+    assert noise_of(loud, 0.24) == pytest.approx(0.24 / math.sqrt(12.0), rel=1e-12)
     # Too few samples show no noise of their own.
-    assert noise_in(quiet[: LEAST_SAMPLES - 1], None, 0.0).white_n == 0.0
-
-
-def test_chance_seldom_makes_noise_exceed_what_it_may() -> None:
-    beyond = total = 0
-    for seed in range(60):
-        measured = free_noise([0.02 * pink(seed, 2000)])
-        assert measured is not None
-        hold = 0.02 * pink(1000 + seed, 4000)
-        noise = noise_in(hold, measured, 0.0)
-        for octave, (own, _) in enumerate(octaves_of(hold)):
-            total += 1
-            beyond += rms(own[:400]) ** 2 > power_within(noise, octave, 400)[1]
-    assert beyond <= 0.01 * total, (beyond, total)
-
-
-def test_bursts_and_lines_are_no_white_noise() -> None:
-    bare = white(0.02, 3)
-    swing = np.sin(np.arange(COUNT))
-    assert white_noise_of(bare + swing) == pytest.approx(0.02, rel=0.2)
+    assert noise_of(quiet[: LEAST_SAMPLES - 1], 0.0) == 0.0
+    assert noise_of(quiet[:LEAST_SAMPLES], 0.0) > 0.0
 
 
 @pytest.mark.parametrize("count", [30, 1000, 30_000])
@@ -128,6 +61,37 @@ def test_the_reach_grows_with_the_noise_and_slowly_with_the_number_of_samples() 
     assert reach_of(2.0, 100) == pytest.approx(2.0 * reach_of(1.0, 100), rel=1e-12)
     assert reach_of(1.0, 100) == pytest.approx(math.sqrt(2.0 * math.log(100.0)) + 1.0, rel=1e-12)
     assert reach_of(1.0, 0) == reach_of(1.0, 1) == reach_of(1.0, 2) < reach_of(1.0, 3)
+
+
+def test_a_force_has_moved_by_what_noise_does_not_explain() -> None:
+    ramp = np.linspace(0.0, 1.0, COUNT)
+    assert moved_of(ramp, 0.0) == pytest.approx(1.0, rel=1e-12)
+    assert moved_of(ramp, 0.05) == pytest.approx(1.0 - 2.0 * reach_of(0.05, COUNT), rel=1e-12)
+    assert moved_of(ramp, 0.5) == 0.0
+    assert all(moved_of(white(0.05, seed), 0.05) == 0.0 for seed in range(50))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_force_is_gone_where_its_later_half_goes_farther(sign: float) -> None:
+    # It stands still for a share of the time and then goes its way evenly.
+    for share, is_gone in ((0.1, True), (0.4, True), (0.0, False), (-0.4, False)):
+        ramp = np.clip((np.arange(COUNT) / COUNT - max(share, 0.0)) / (1.0 - abs(share)), 0.0, 1.0)
+        assert (gone_of(sign * ramp) > 0.0) is is_gone, share
+    late = sign * np.where(np.arange(COUNT) < 0.8 * COUNT, 0.0, 1.0)
+    assert gone_of(late + 7.0) == pytest.approx(1.0, rel=1e-9)
+    # One that comes back is not, and neither is one that goes out and half of the way back.
+    assert gone_of(sign * np.sin(np.linspace(0.0, math.pi, COUNT))) == pytest.approx(0.0, abs=1e-9)
+    assert gone_of(sign * np.interp(np.arange(COUNT), [0, COUNT / 2, COUNT], [0.0, 1.0, 0.5])) == 0.0
+
+
+@pytest.mark.parametrize("turns", [1.0, 5.0, 12.0])
+def test_a_line_is_measured_from_peak_to_peak_whatever_its_phase_and_place(turns: float) -> None:
+    angle = 2.0 * math.pi * turns * np.arange(COUNT) / (COUNT - 1)
+    for phase in (0.0, 0.7, 1.6, 3.0):
+        series = 3.0 + 0.15 * np.sin(angle + phase)
+        assert line_n(series, turns) == pytest.approx(0.3, rel=2e-3)
+        assert line_n(series, turns + 3.0) < 2e-3
+    assert line_n(np.array([3.0]), turns) == 0.0
 
 
 def test_messages_that_come_when_they_come_are_put_on_an_even_grid() -> None:

@@ -7,11 +7,9 @@ import numpy as np
 import pytest
 
 from telenano.analysis.findings import Cause, Finding
-from telenano.analysis.modes import averaged, fitted
-from telenano.analysis.read_out import white_noise_of
-from telenano.analysis.verdict import Kind, judge
+from telenano.analysis.modes import LEAST_SAMPLES, fitted, noise_floor
+from telenano.analysis.verdict import ERROR_SHARE, SMALL_SHARE, Kind, judge
 from telenano.analysis.verdict_sentences import sentence
-from telenano.analysis.verdict_thresholds import ERROR_SHARE, LEAST_SAMPLES, SMALL_SHARE
 
 TIME_S = np.arange(8000) * 1e-3
 SHORT_S = TIME_S[:1400]
@@ -35,7 +33,7 @@ def noise(sigma_n: float, samples: int, seed: int) -> np.ndarray:
 @pytest.mark.parametrize("growth", [-3.0, -0.4, -0.05, 0.05, 0.4, 3.0])
 @pytest.mark.parametrize("frequency", [2.5, 9.3, 437.0])
 def test_growth_rate_is_the_real_part_of_the_mode(growth: float, frequency: float) -> None:
-    assert judge(TIME_S, ringing(growth, frequency), 1.0).growth_per_s == pytest.approx(growth, rel=0.05, abs=0.0)
+    assert judge(TIME_S, ringing(growth, frequency), 1.0).growth_per_s == pytest.approx(growth, rel=0.01, abs=0.0)
 
 
 @pytest.mark.parametrize(
@@ -43,12 +41,11 @@ def test_growth_rate_is_the_real_part_of_the_mode(growth: float, frequency: floa
     [
         (-0.4, 0.3, "stable"),
         (0.4, 0.3, "diverged"),
-        # growing from little is growing, and rest as long as it is small
-        (0.4, 2e-3, "diverged"),
-        (0.4, 1e-4, "stable"),
+        # growing from next to nothing is growing all the same
+        (0.4, 1e-4, "diverged"),
         (0.0, 0.3, "limit_cycle"),
         (0.0, 0.51 * SMALL_SHARE, "limit_cycle"),
-        (0.0, 0.47 * SMALL_SHARE, "stable"),
+        (0.0, 0.49 * SMALL_SHARE, "stable"),
         # 0.12, 0.2 and -0.2 in eight seconds
         (0.015, 0.3, "limit_cycle"),
         (0.025, 0.3, "diverged"),
@@ -67,7 +64,7 @@ def test_when_a_motion_has_come_to_rest_is_known_to_a_sample() -> None:
         found[every] = rest_from_s
         later_s = judge(TIME_S[::every] + 1.0, ringing(-2.0, 2.0)[::every], 1.0).rest_from_s
         assert later_s == pytest.approx(rest_from_s + 1.0, rel=0.0, abs=1e-6)
-    assert found[10] == pytest.approx(found[1], rel=0.0, abs=0.1)
+    assert found[10] == pytest.approx(found[1], rel=0.0, abs=10 * 1e-3)
 
 
 SNAPS = 1.5 * np.exp(-0.5 * ((TIME_S % 2.7 - 1.3) / 0.03) ** 2)
@@ -75,8 +72,8 @@ LATE = np.where(TIME_S > 7.0, 0.01 * np.exp(4.0 * (TIME_S - 7.0)) * np.sin(10.0 
 # name: series, what it is, the most noise [N] at which it can be told by 8 s of samples
 SERIES: dict[str, tuple[np.ndarray, tuple[str, ...], float]] = {
     "grows slowly": (ringing(0.03, size=0.1), ("diverged",), 0.05),
-    "grows from a hundredth": (ringing(0.2, size=0.01), ("diverged", "cannot_say"), 0.01),
-    "grows in a hold of Fig. 12": (ringing(1.5, size=0.01, time_s=SHORT_S), ("diverged", "cannot_say"), 0.005),
+    "grows from a hundredth": (ringing(0.1, size=0.01), ("diverged", "cannot_say"), 0.02),
+    "grows in a hold of Fig. 12": (ringing(0.5, size=0.01, time_s=SHORT_S), ("diverged", "cannot_say"), 0.005),
     "decays slowly": (ringing(-0.03, size=0.1), ("stable",), 0.02),
     "decays": (ringing(-1.0), ("stable",), 0.05),
     "decays without a swing": (1.0 + 0.3 * np.exp(-0.5 * TIME_S), ("stable",), 0.05),
@@ -107,10 +104,11 @@ def test_series_whose_fate_is_known(name: str) -> None:
 
 
 def test_what_cannot_be_said_comes_with_what_would_decide() -> None:
-    slow = judge(SHORT_S, ringing(0.0, 0.4, 0.5, SHORT_S), 1.0)
+    slow = judge(SHORT_S, ringing(0.0, 0.2, 0.5, SHORT_S), 1.0)
+    hidden = judge(SHORT_S, ringing(0.0, 5.0, 0.06, SHORT_S) + noise(0.08, 1400, 2), 1.0)
     short = judge(TIME_S[:15], TIME_S[:15], 1.0)
-    causes = (Cause.ON_ITS_WAY, Cause.FEW_SAMPLES)
-    for found, cause in zip((slow, short), causes, strict=True):
+    causes = (Cause.ON_ITS_WAY, Cause.CHANGE_UNKNOWN, Cause.FEW_SAMPLES)
+    for found, cause in zip((slow, hidden, short), causes, strict=True):
         assert (found.kind, found.cause) == ("cannot_say", cause), found
 
 
@@ -125,7 +123,7 @@ def test_noise_is_estimated_and_is_no_motion(sigma_n: float) -> None:
 def test_noise_floor_is_not_raised_by_bursts_or_lines() -> None:
     bare = noise(0.02, 8000, 3)
     for motion in (SNAPS, ringing(0.0, 437.0, 0.5), ringing(0.3, 5.0, 0.1)):
-        assert white_noise_of(motion + bare) == pytest.approx(white_noise_of(bare), rel=0.15)
+        assert noise_floor(motion + bare) == pytest.approx(noise_floor(bare), rel=0.15)
 
 
 def test_more_than_a_read_out_can_have_hides_what_moves() -> None:
@@ -137,7 +135,7 @@ def test_more_than_a_read_out_can_have_hides_what_moves() -> None:
 def test_a_swing_that_grows_is_seen_whatever_its_phase(frequency_hz: float, growth_per_s: float) -> None:
     for phase in np.arange(4) * np.pi / 4.0:
         swing = np.exp(growth_per_s * (TIME_S - 8.0)) * np.sin(2.0 * np.pi * frequency_hz * TIME_S + phase)
-        found = judge(TIME_S, 1.0 + 0.06 * swing, 1.0)
+        found = judge(TIME_S, 1.0 + 0.004 * swing, 1.0)
         assert found.kind == "diverged", found
 
 
@@ -150,9 +148,9 @@ def test_a_landing_that_comes_to_rest_is_stable_whenever_it_is(arrival_s: float,
 
 
 def test_two_lines_that_beat_are_two_modes() -> None:
-    modes = fitted(averaged(beating(5.0, 5.1, 0.2), 400)[0], 20e-3, 1e-7, 0.0).modes
+    modes = fitted(beating(5.0, 5.1, 0.2), 1e-3, 1e-7).modes
     assert sorted(mode.frequency_hz for mode in modes) == pytest.approx([5.0, 5.1], abs=1e-3)
-    assert [mode.end_n for mode in modes] == pytest.approx([0.5, 0.5], rel=0.03)
+    assert [mode.end_n for mode in modes] == pytest.approx([0.5, 0.5], rel=0.01)
 
 
 def test_stillness_is_stable_without_a_rate() -> None:
@@ -217,7 +215,7 @@ def test_a_cycle_goes_as_far_as_all_its_lines_together(harmonic: float, noise_n:
     found = judge(TIME_S, wave + noise(noise_n, len(TIME_S), 3), 2.0)
     assert found.kind == "limit_cycle"
     # what noise can reach is taken off
-    assert found.peak_to_peak_n == pytest.approx(np.ptp(wave), rel=0.01, abs=10.0 * noise_n)
+    assert found.peak_to_peak_n == pytest.approx(np.ptp(wave), abs=0.005 + 10.0 * noise_n)
     assert found.cause is Cause.GOES_ON
 
 

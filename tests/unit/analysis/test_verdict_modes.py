@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from telenano.analysis.envelope import recurs
 from telenano.analysis.verdict import judge
 
 HAND_N, REST_N = 1.0, 0.9
@@ -65,3 +66,9 @@ def test_one_that_lasts_among_them_is_hardly_ever_stable(made: Sum) -> None:
     kinds = made.lasts.kinds(795)
     assert kinds["stable"] <= 0.01 * DRAWS
     assert made is not SLOW or kinds["limit_cycle"] > 0.2 * DRAWS
+
+
+@pytest.mark.parametrize(("hidden_n", "again"), [(0.0, True), (0.4, True), (0.5, False)])
+def test_a_motion_begins_again_if_it_moves_farther_than_noise_hides(hidden_n: float, again: bool) -> None:
+    """A swing of which noise hides as much as it moves in a window seems to rest there."""
+    assert recurs([0.0, 1.0, 0.0, 0.9, 0.0, 0.0, 0.04, 1.0], 0.05, hidden_n) is again

@@ -8,6 +8,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
+from telenano.analysis.envelope import falls_as_noise
 from telenano.analysis.holds import judge_holds
 from telenano.analysis.verdict import Verdict, judge
 
@@ -67,6 +68,21 @@ def test_a_cycle_is_one_under_noise(flicker_n: float) -> None:
         kinds = Counter(read(seed, flicker_n, 10.0 * flicker_n, cycle_hz).kind for seed in SEEDS[:12])
         assert kinds.keys() <= {"limit_cycle", "cannot_say"}, (cycle_hz, kinds)
         assert kinds["limit_cycle"] >= seen * len(SEEDS[:12]), (cycle_hz, kinds)
+
+
+def test_a_cycle_over_the_smallest_noise_is_no_noise() -> None:
+    """The line of a cycle, and the band of an irregular one, stand out of a density that falls."""
+    generator = np.random.Generator(np.random.PCG64(3))
+    time_s = DT * np.arange(6000)
+    noise = pink(generator, 6000)
+    assert falls_as_noise(noise, 0.0)
+    assert falls_as_noise(noise + 0.05 * generator.normal(size=6000), 0.05)
+    assert not falls_as_noise(noise + 1.5 * np.sin(2.0 * np.pi * 7.0 * time_s), 0.0)
+    # its phase wanders by a turn within a second
+    irregular = np.sin(2.0 * np.pi * 7.0 * time_s + np.cumsum(0.1 * generator.normal(size=6000)))
+    assert not falls_as_noise(irregular + 0.1 * noise, 0.0)
+    assert not falls_as_noise(generator.normal(size=6000), 1.0)
+    assert not falls_as_noise(np.exp(-time_s / 0.3), 0.0)
 
 
 def test_a_blow_is_not_what_noise_reaches() -> None:

@@ -5,8 +5,8 @@ from typing import Any
 import pytest
 
 from telenano.analysis.findings import Cause, Finding
+from telenano.analysis.modes import LEAST_SAMPLES
 from telenano.analysis.verdict_sentences import sentence
-from telenano.analysis.verdict_thresholds import LEAST_SAMPLES
 
 # Every figure has digits of its own, so that a sentence shows which ones it has.
 FIGURES: dict[str, Any] = {
