@@ -602,6 +602,13 @@ def as_it_is(command: str, flag: str, folder: Path) -> tuple[dict[str, Any], fro
     return first, frozenset(name for name in first if first[name] == second.get(name))
 
 
+def _place_of(words: list[str], more: list[str]) -> int | None:
+    """Return where words give an option already, or for one that states keys the same key; None if nowhere."""
+    key = more[1].partition("=")[0] + "=" if more[0] in ("--set", "--afm") else ""
+    places = [place for place, word in enumerate(words) if word == more[0]]
+    return next((place for place in places if not key or words[place + 1].startswith(key)), None)
+
+
 def effect_of(command: str, option: Any, folder: Path) -> str:
     """Return what a valid other value of an option changes, empty if that is nothing."""
     name = f"{command} {option.opts[0]}"
@@ -613,8 +620,7 @@ def effect_of(command: str, option: Any, folder: Path) -> str:
         tried = [*words, *more]
         if option.is_flag and more[0] in words:
             tried = [word for word in words if word != more[0]]
-        elif more[0] in words and more[0] not in ("--set", "--afm"):
-            place = words.index(more[0])
+        elif (place := _place_of(words, more)) is not None:
             tried = [*words[:place], *words[place + 1 + option.nargs :], *more]
         found = run(tried, folder / "out", make)
         if found.code == 2 and name not in REFUSES:

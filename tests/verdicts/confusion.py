@@ -1,13 +1,16 @@
 """Compare what the judge says of the courses with their truth.
 
     python tests/verdicts/confusion.py --courses all --seeds 0:3000
+    python tests/verdicts/confusion.py --courses kinds --seeds 0:200
 
-The courses are those of `courses.py` (linear), of `nonlinear.py`, or both. Prints the table truth by kind, the shares
-that have a limit with Wilson's intervals, the same by tag and by cell, and the seeds of the wrong answers. Ends with 1
-where a share is above its limit. The judge is `judge_course` of `judge.py` in this folder.
+The courses are those of `courses.py` (linear), of `nonlinear.py`, both, all of `kinds.py`, or one kind of these. Prints
+the table truth by kind, the shares that have a limit with Wilson's intervals, the same by tag and by cell, and the
+seeds of the wrong answers; of `kinds.py` a line for each kind. Ends with 1 where a share is above its limit. The judge
+is `judge_course` of `judge.py` in this folder.
 """
 
 import argparse
+import functools
 import importlib
 import sys
 from collections import Counter, defaultdict
@@ -17,6 +20,7 @@ from typing import NamedTuple, Protocol
 import distribution as d
 import nonlinear_distribution as n
 from courses import Course, course
+from kinds import CLASSES, KINDS, kind_course
 from nonlinear import nonlinear_course
 
 from telenano.analysis.intervals import wilson
@@ -38,6 +42,8 @@ COURSES: dict[str, tuple[Callable[[int], Course], ...]] = {
     "linear": (course,),
     "nonlinear": (nonlinear_course,),
     "all": (course, nonlinear_course),
+    **{name: (functools.partial(kind_course, name),) for name in KINDS},
+    "kinds": tuple(functools.partial(kind_course, name) for name in KINDS),
 }
 MOST_SEEDS = 40  # Seeds printed of one kind of wrong answer; the count before them is of all.
 
@@ -222,8 +228,25 @@ def _without_truth(answers: list[Answer]) -> Iterator[str]:
         yield f"{rule:28}{sum(kinds.values()):>6}: {said}"
 
 
+def by_kind(answers: list[Answer]) -> Iterator[str]:
+    """Give a line for each kind of `kinds.py` and each class of them: what was said, and Wilson's intervals."""
+    yield f"{'kind':24}{'courses':>8}{'stable':>7}{'cycle':>7}{'growth':>7}{'open':>7}  wrong, and cannot say"
+    for one, kinds in CLASSES.items():
+        for name in (*kinds, one):
+            there = [own for own in answers if name in own.tags]
+            counts = Counter(own.family for own in there)
+            wrong = sum(false_alarm(own) or missed_swing(own) for own in there)
+            intervals = [wilson(count, len(there)) for count in (wrong, counts[SAYS_NOTHING])] if there else []
+            words = ", ".join(f"{low:.1%} to {high:.1%}" for low, high in intervals)
+            row = "".join(f"{counts[family]:>7}" for family in ("quiet", "cycle", "growth", SAYS_NOTHING))
+            yield f"{('all ' if name == one else '') + name:24}{len(there):>8}{row}  {words}"
+        yield ""
+
+
 def report(answers: list[Answer]) -> Iterator[str]:
     """Give the lines of the whole comparison."""
+    if any(own.cell.partition("/")[0] in CLASSES for own in answers):
+        yield from by_kind(answers)
     limited, others = limited_shares(answers), other_shares(answers)
     yield from _table(answers)
     yield ""

@@ -1,22 +1,38 @@
 """The connecting side: connections to nodes of other machines, their state, and the messages permitted on them."""
 
+import errno
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import zmq
 
 from telenano.runtime.bus.address_book import is_relayed, may_carry
-from telenano.runtime.bus.bus import Subscriber
-from telenano.runtime.bus.hearing import Connections, NodeConnection
-from telenano.runtime.bus.socket_monitor import CONNECTED, ENDS, FAILURES, KEY_REFUSED, MonitorEvent, RejectionCounter
+from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
+from telenano.runtime.bus.socket_monitor import (
+    CONNECTED,
+    DISCONNECTED,
+    ENDS,
+    FAILURES,
+    KEY_REFUSED,
+    Monitor,
+    RejectionCounter,
+)
 from telenano.runtime.security.access_control import AccessControl
 from telenano.runtime.security.keyring import Role
 from telenano.timing.clock import Clock
 from telenano.wire.codec import WireError
 from telenano.wire.nodes import is_visitor
 
+# Time until a reconnection [ns]. libzmq does not reconnect after a rejected key or a wrong protocol, and does not
+# report that it has given up; but the key may have been allowed meanwhile, or the right program started.
+_RECONNECT_NS = 1_000_000_000
 _UNREACHED_NS = 5_000_000_000
 _REMIND_NS = 60_000_000_000
+# A connection that is up and has brought no valid message at this number of checks in a row is replaced. A check is
+# made every 0.4 s, and every node sends node/health twice a second. If that does not help, the number doubles up to the
+# most. Checks are counted instead of time, because a process that stood still has messages left to read.
+_SILENT_CHECKS, _MOST_SILENT_CHECKS = 3, 192
 # Number of failed handshakes in a row that is reported; fewer may be chance.
 _REPORTED_FAILURES = 3
 # Most cached pairs of topic and source that are permitted: a peer that invents names must not fill the memory.
@@ -52,23 +68,36 @@ class MessagePermissions:
             self._permitted.add((topic, src))
 
 
-@dataclass(kw_only=True)
-class PeerConnection(NodeConnection):
+@dataclass
+class PeerConnection:
     """The state of a connection to a node of another machine; times on the monotonic clock [ns]."""
 
+    node: str
+    endpoint: str
+    down_since_ns: int
     next_reminder_ns: int
+    up: bool = False
     ever_up: bool = False
     failures: int = 0
     last_error: str = ""
+    # Whether the peer is disconnected while libzmq still tries its endpoint.
+    lost: bool = False
+    # The time of the next reconnection by this module, if any.
+    reconnect_ns: int | None = None
+    # Number of messages received from the node, and of checks since that last rose; the connection is replaced at
+    # `most_silent` of them.
+    heard: int = 0
+    silent: int = 0
+    most_silent: int = _SILENT_CHECKS
+
+    @property
+    def is_given_up(self) -> bool:
+        """Whether the socket has no connection to the endpoint until the reconnection."""
+        return self.reconnect_ns is not None and not self.lost
 
 
-class PeerConnections(Connections[PeerConnection]):
+class PeerConnections:
     """The connections to the nodes of one machine, which share a socket."""
-
-    _events_wanted = ENDS
-    # libzmq does not connect again after a rejected key or a wrong protocol; but the key may have been allowed
-    # meanwhile, or the right program started. After a lost connection it first has time for a handshake of its own.
-    _looks = 3
 
     def __init__(
         self,
@@ -97,20 +126,22 @@ class PeerConnections(Connections[PeerConnection]):
                 subscription, or an altered length of a frame, makes a reader deaf without any report of libzmq. With
                 keys the message is not authentic, or its pings are not answered, and libzmq ends the connection.
         """
-        now = clock.monotonic_ns()
-        made = [
-            PeerConnection(endpoint, node=node, since_ns=now, next_reminder_ns=now + _UNREACHED_NS)
-            for node, endpoint in endpoints.items()
-        ]
-        super().__init__(subscriber, clock, made)
         self._replaces_silent = expects_beacon and not access_control.requires_keys
         self._is_reported = is_reported
+        now = clock.monotonic_ns()
         self.machine = machine
+        self.subscriber = subscriber
+        self.monitor = Monitor(subscriber.socket, ENDS)
         self.permissions = MessagePermissions(machine, list(endpoints), access_control.roles(machine))
+        self._clock = clock
         self._access_control = access_control
         self._rejections = rejections
         self._active = False
         self._server_key: bytes | None = None
+        self._events: list[ConnectionEvent] = []
+        self.connections = [
+            PeerConnection(node, endpoint, now, now + _UNREACHED_NS) for node, endpoint in endpoints.items()
+        ]
         if access_control.requires_keys:
             subscriber.permit = self.permissions
         self.apply_permissions()
@@ -119,6 +150,22 @@ class PeerConnections(Connections[PeerConnection]):
     def sockets(self) -> list["zmq.Socket[bytes]"]:
         """The sockets that become readable when there is a monitor event."""
         return [self.monitor.socket]
+
+    def close(self) -> None:
+        """Close the monitor; the owner of the subscriber closes that."""
+        self.monitor.close()
+
+    def process_events(self) -> bool:
+        """Update the state of the connections from monitor events; return True if more events are pending."""
+        for event in self.monitor.events():
+            peer = self._find(event.endpoint)
+            if peer is not None:
+                self._record(peer, event.kind)
+        return self.monitor.has_pending
+
+    def take_events(self) -> list[ConnectionEvent]:
+        events, self._events = self._events, []
+        return events
 
     def apply_permissions(self) -> None:
         """Apply the current roles and key of the machine: connect, or close connections that are no longer allowed."""
@@ -129,13 +176,62 @@ class PeerConnections(Connections[PeerConnection]):
         if roles and not self._active:
             self._connect(server_key)
 
-    def look(self, now_ns: int) -> None:
-        """Make connections again that libzmq has given up, and report peers that have not been reached."""
-        super().look(now_ns)
+    def maintain(self, now_ns: int) -> None:
+        """Reconnect where libzmq does not, and report peers that have not been reached."""
+        # Disconnecting drops messages that were not read yet, such as the last ones of a node, so all are read before.
+        if self.subscriber.drained:
+            if self._replaces_silent:
+                self._give_up_silent(now_ns)
+            self._reconnect_due(now_ns)
         for peer in self.connections:
             if not peer.up and not is_visitor(peer.node) and now_ns >= peer.next_reminder_ns:
                 peer.next_reminder_ns = now_ns + _REMIND_NS
-                self._remind(peer, (now_ns - peer.since_ns) * 1e-9)
+                self._remind(peer, (now_ns - peer.down_since_ns) * 1e-9)
+
+    def _give_up_silent(self, now_ns: int) -> None:
+        """Give up each connection that is up but brings no valid message; it is made again at once."""
+        received: Counter[str] = Counter()
+        for (_, src), tracker in self.subscriber.trackers.items():
+            received[src] += tracker.received + tracker.duplicates
+        for peer in self.connections:
+            heard = sum(count for src, count in received.items() if may_carry(peer.node, src))
+            if heard != peer.heard:
+                peer.heard, peer.silent, peer.most_silent = heard, 0, _SILENT_CHECKS
+            elif peer.up and not is_visitor(peer.node):
+                peer.silent += 1
+        silent = [peer for peer in self.connections if peer.up and peer.silent >= peer.most_silent]
+        if silent and not self.subscriber.pending():
+            # That call may have consumed the signal of the descriptor, for which a loop would wait.
+            self.subscriber.drained = False
+            for peer in silent:
+                self._record_down(peer, "brings no message that can be read: connecting again")
+                self._schedule_reconnect(peer)
+                peer.reconnect_ns, peer.most_silent = now_ns, min(2 * peer.most_silent, _MOST_SILENT_CHECKS)
+
+    def _reconnect_due(self, now_ns: int) -> None:
+        due = [peer for peer in self.connections if peer.reconnect_ns is not None and now_ns >= peer.reconnect_ns]
+        # All lost endpoints are disconnected before any is connected, because libzmq identifies a connection that it
+        # has dropped by an address in memory, which the next connection may reuse.
+        for peer in self.connections if due else ():
+            if peer.lost:
+                peer.lost = False
+                self._let_go(peer.endpoint)
+        for peer in due:
+            peer.reconnect_ns = None
+            self.subscriber.socket.connect(peer.endpoint)
+
+    def _schedule_reconnect(self, peer: PeerConnection) -> None:
+        if not peer.is_given_up:
+            self._let_go(peer.endpoint)
+        peer.lost, peer.reconnect_ns = False, self._clock.monotonic_ns() + _RECONNECT_NS
+
+    def _let_go(self, endpoint: str) -> None:
+        """Disconnect from an endpoint, unless libzmq has already done so after a violation of the protocol."""
+        try:
+            self.subscriber.socket.disconnect(endpoint)
+        except zmq.ZMQError as error:
+            if error.errno != errno.ENOENT:
+                raise
 
     def _connect(self, server_key: bytes | None) -> None:
         own = self._access_control.own
@@ -144,57 +240,72 @@ class PeerConnections(Connections[PeerConnection]):
             self.subscriber.socket.set(zmq.CURVE_SECRETKEY, own.secret)
             self.subscriber.socket.set(zmq.CURVE_SERVERKEY, server_key)
         for peer in self.connections:
-            peer.failures, peer.last_error, peer.detached = 0, "", False
-            peer.begin()
+            peer.failures, peer.last_error = 0, ""
             self.subscriber.socket.connect(peer.endpoint)
         self._active, self._server_key = True, server_key
 
     def _disconnect(self) -> None:
         self._active = False
         for peer in self.connections:
-            self._let_go(peer)
+            if not peer.is_given_up:
+                self._let_go(peer.endpoint)
+            peer.lost, peer.reconnect_ns = False, None
             self._record_down(peer, f"was closed: the key of {self.machine} that it used is no longer allowed")
-            peer.begin()
 
-    def _record(self, connection: PeerConnection, event: MonitorEvent) -> None:
-        was_up = connection.up
-        if event.kind in FAILURES:
-            self._record_failure(connection, event.kind)
-        elif event.kind == CONNECTED:
-            self._record_up(connection)
-        elif was_up:
-            self._record_down(connection, "was lost")
-        connection.record(event.kind)
-        if connection.ended and not was_up:
-            # libzmq would try again ten times a second.
-            self._let_go(connection)
+    def _find(self, endpoint: str) -> PeerConnection | None:
+        """Return the connection of an endpoint as libzmq reports it, None if there is none.
 
-    def _note_silent(self, connection: PeerConnection) -> None:
-        self._record_down(connection, "brings no message that can be read: connecting again")
+        libzmq may have resolved a host name to an address. The port then identifies the connection, because all these
+        nodes are on one machine with one address.
+        """
+        exact = [peer for peer in self.connections if peer.endpoint == endpoint]
+        port = endpoint.rpartition(":")[2]
+        same_port = (peer for peer in self.connections if peer.endpoint.rpartition(":")[2] == port)
+        return next(iter(exact or same_port), None)
+
+    def _record(self, peer: PeerConnection, event: int) -> None:
+        # An event of a connection that this module has closed may come late.
+        if not self._active:
+            return
+        if event == CONNECTED:
+            # A connection that libzmq made by itself may have become ready just before this module gave it up. It is
+            # closed, so the reconnection is still due: without it the peer would never be heard again.
+            if not peer.is_given_up:
+                self._record_up(peer)
+        elif event == DISCONNECTED and peer.up:
+            self._record_down(peer, "was lost")
+            # libzmq first tries to reconnect itself for a while, but does not report that it has given up.
+            peer.lost, peer.reconnect_ns = True, self._clock.monotonic_ns() + _RECONNECT_NS
+        elif event == DISCONNECTED:
+            self._schedule_reconnect(peer)
+        else:
+            self._record_failure(peer, event)
 
     def _record_up(self, peer: PeerConnection) -> None:
         # Two such events in a row: the first connection was dropped meanwhile.
         if peer.up:
             return
-        now_ns = self._clock.monotonic_ns()
-        gone_s = (now_ns - peer.since_ns) * 1e-9
+        gone_s = (self._clock.monotonic_ns() - peer.down_since_ns) * 1e-9
         again = f" again after {gone_s:.1f} s" if peer.ever_up else ""
         self._report("info", f"{peer.node} is connected{again} ({peer.endpoint})", peer, "up", gone_s=gone_s)
-        peer.ever_up, peer.since_ns, peer.silent = True, now_ns, 0
+        peer.up = peer.ever_up = True
+        peer.silent = 0
+        peer.lost, peer.reconnect_ns = False, None
         peer.failures, peer.last_error = 0, ""
 
     def _record_down(self, peer: PeerConnection, what: str) -> None:
         if peer.up:
-            now_ns = self._clock.monotonic_ns()
-            peer.up, peer.since_ns, peer.next_reminder_ns = False, now_ns, now_ns + _UNREACHED_NS
+            now = self._clock.monotonic_ns()
+            peer.up, peer.down_since_ns, peer.next_reminder_ns = False, now, now + _UNREACHED_NS
             level = "info" if is_visitor(peer.node) else "warning"
             self._report(level, f"the connection to {peer.node} ({peer.endpoint}) {what}", peer, "down")
 
-    def _record_failure(self, peer: PeerConnection, kind: int) -> None:
+    def _record_failure(self, peer: PeerConnection, event: int) -> None:
         peer.failures += 1
-        last_error, peer.last_error = peer.last_error, FAILURES[kind]
+        last_error, peer.last_error = peer.last_error, FAILURES[event]
         self._rejections.record("handshake", f"{peer.node} at {peer.endpoint}: {peer.last_error}")
-        if kind == KEY_REFUSED:
+        self._schedule_reconnect(peer)
+        if event == KEY_REFUSED:
             if last_error != peer.last_error:
                 self._report("error", self._rejected_text(peer), peer, "refused")
         elif peer.failures == _REPORTED_FAILURES:
@@ -226,6 +337,7 @@ class PeerConnections(Connections[PeerConnection]):
             text = f"{unreached}: is {self.machine} running, is the address right, does a firewall block the port?"
         self._report("warning", text, peer, "unreached", waited_s=waited_s)
 
-    def _report(self, level: str, text: str, connection: PeerConnection, state: str, **data: float) -> None:
+    def _report(self, level: str, text: str, peer: PeerConnection, state: str, **data: float) -> None:
+        facts: dict[str, bool | float | str] = {"peer": peer.node, "endpoint": peer.endpoint, "connection": state}
         if self._is_reported:
-            super()._report(level, text, connection, state, **data)
+            self._events.append(ConnectionEvent(level, text, {**facts, **data}))

@@ -14,7 +14,7 @@ import zmq
 
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import PINGING_HIGH_WATER_MARK, ConnectionEvent, Subscriber
-from telenano.runtime.bus.hearing import BEACON, Connections, Hearing, LocalConnections
+from telenano.runtime.bus.hearing import BEACON, Hearing, LocalConnections
 from telenano.runtime.bus.local_endpoint import fan_out_endpoint, is_bound, path_of
 from telenano.runtime.bus.local_readers import LocalReaders, holders_of
 from telenano.runtime.bus.places import Places
@@ -184,6 +184,7 @@ class Transport:
         self._needed_files = Descriptors(int(context.get(zmq.IO_THREADS)))
         self._rejections = RejectionCounter()
         self._authenticator = ZapAuthenticator(context, self.access_control, self._rejections)
+        self._peers: list[PeerConnections] = []
         self._handlers: list[NetworkHandler] = [self._authenticator]
         self._next_check_ns = clock.monotonic_ns() + _CHECK_NS
         self._lowered = True
@@ -292,8 +293,7 @@ class Transport:
         return any(peer.up for peers in self._peers_at(machine) for peer in peers.connections)
 
     def _peers_at(self, machine: str) -> Iterator[PeerConnections]:
-        readers = (reader for reader in self.hearing.readers if isinstance(reader, PeerConnections))
-        return (peers for peers in readers if peers.machine == machine)
+        return (peers for peers in self._peers if peers.machine == machine)
 
     def connect_beside(self, node: str, subscriber: Subscriber) -> None:
         """Connect a second socket to a node; only the first one's connection reports its events."""
@@ -301,7 +301,7 @@ class Transport:
         _set_network_options(subscriber.socket, endpoint)
         _set_heartbeats(subscriber.socket, _LOOP_SILENCE_MS)
         parts = {node: endpoint}, subscriber, self.clock, self.access_control, RejectionCounter()
-        self._follow(PeerConnections(machine, *parts, is_reported=False, expects_beacon=False))
+        self._follow_peers(PeerConnections(machine, *parts, is_reported=False, expects_beacon=False))
 
     def look_after(self, handler: NetworkHandler) -> None:
         """Add a handler, whose events are processed and to which changed permissions are applied from now on."""
@@ -359,22 +359,24 @@ class Transport:
         if not any(endpoint.startswith("tcp://") for endpoint in by_endpoint):
             # Its socket is called at looks alone, after which it is read.
             subscriber.shared = False
-            self._follow(LocalConnections(endpoints, subscriber, self.clock))
+            local = LocalConnections(endpoints, subscriber, self.clock)
+            self.hearing.readers.append(local)
+            self._handlers.append(local)
         else:
             subscriber.socket.set(zmq.RCVHWM, PINGING_HIGH_WATER_MARK)
             _set_network_options(subscriber.socket, *by_endpoint)
             _set_heartbeats(subscriber.socket, silence_ms)
             machine = self.book.machine_of(next(iter(plan)))
             parts = endpoints, subscriber, self.clock, self.access_control, self._rejections
-            self._follow(PeerConnections(machine, *parts, expects_beacon=hears))
+            self._follow_peers(PeerConnections(machine, *parts, expects_beacon=hears))
         if hears and BEACON not in subscriber.topics:
             subscriber.hear_beacon(BEACON)
         return subscriber
 
-    def _follow(self, connections: "Connections[Any]") -> None:
-        """Look after connections from now on."""
-        self.hearing.readers.append(connections)
-        self._handlers.append(connections)
+    def _follow_peers(self, peers: PeerConnections) -> None:
+        """Look after connections to another machine from now on."""
+        self._peers.append(peers)
+        self._handlers.append(peers)
 
     def _check(self) -> list[ConnectionEvent]:
         now = self.clock.monotonic_ns()
@@ -396,6 +398,8 @@ class Transport:
             text = f"{closed.number} connections of process {closed.process} were closed: {closed.reason}"
             events.append(ConnectionEvent("warning", text, {"process": closed.process, "count": closed.number}))
         self.hearing.look(now)
+        for peers in self._peers:
+            peers.maintain(now)
         return events
 
     def _holders(self) -> set[int]:

@@ -142,5 +142,5 @@ def test_a_recording_with_particles_is_read(read: dict[str, Any], command: str) 
 def test_a_re_run_of_the_instrument_names_the_package(read: dict[str, Any]) -> None:
     code, _, error = read["rerun"]
     assert code == 2
-    told = f"the layer particles of {PACKAGE} 0.1.0, which is not installed here: {how_to_add_package(PACKAGE)}"
+    told = f"the sample particles of {PACKAGE} 0.1.0, which is not installed here: {how_to_add_package(PACKAGE)}"
     assert told in error

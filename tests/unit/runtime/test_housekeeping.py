@@ -327,4 +327,6 @@ def test_a_loop_without_a_descriptor_left_goes_on_and_hears_again_what_it_had_lo
         connected.run_for(2.5, send)
         assert connected.node.messages
         states = [event["data"].get("state") or event["data"].get("connection") for event in connected.told]
-        assert states == ["not_known", "known", "deaf", "up"]
+        # The look that finds no descriptor may have reported the connection before.
+        assert sorted(map(str, states)) == ["deaf", "known", "not_known", "up"]
+        assert states.index("not_known") < states.index("known") and states.index("deaf") < states.index("up")
