@@ -134,4 +134,4 @@ def test_what_a_file_or_a_record_has_no_use_for_is_refused_by_its_option(tmp_pat
     record = ["calibrate", "stiffness", "--record", str(density), "--rate", "1e6", "--sensitivity", "50"]
     for words in (["--sides", "two"], ["--noise-bandwidth", "5"], ["--frequency-unit", "kHz"], ["--columns", "1", "2"]):
         answer = invoke([*record, *words])
-        assert answer.exit_code == 2 and f"{words[0]}: is of a spectrum" in answer.output
+        assert answer.exit_code == 2 and f"{words[0]}: not with --record" in answer.output
