@@ -4,7 +4,7 @@ It imports no models, because a rig starts it with each session. Subscriptions o
 so the node does not send topics that nobody reads.
 
 libzmq permanently gives up a connection whose peer breaks the protocol, so the fan-out could lose a node that all other
-readers still hear. Then the sockets for that node are replaced, by the rule for every connection
+readers still hear. Then the sockets for that node are replaced, by the rule for connections within a machine
 (`telenano/runtime/bus/socket_monitor.py`).
 """
 

@@ -1,8 +1,8 @@
 """Checks whether this process receives from the publishers that it reads, and reconnects to one that it does not hear.
 
-There is one rule for every connection (`socket_monitor.py` has its reason): a connection that has ended, and that
-libzmq has not begun again, is made again. Where nothing protects the bytes on the way, a connection that is up and
-brings no valid message counts as ended as well. A connection to this machine is made again at the second look; if the
+There is one rule for the connections within a machine (`socket_monitor.py` has its reason): a connection that has
+ended, and that libzmq has not begun again, is made again. Those to other machines have their own
+(`telenano/runtime/security/peer_connections.py`). A connection to this machine is made again at the second look; if the
 publisher was there all the time, this process was deaf to it, and reports that and its end.
 
 No thread is needed: a look takes microseconds, and a loop makes one with each report of its health. Safety does not
@@ -10,26 +10,19 @@ rely on any of this: a device acts on the age of its newest input.
 """
 
 import errno
-from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import ClassVar, Generic, TypeVar
 
 import zmq
 
-from telenano.runtime.bus.address_book import may_carry
 from telenano.runtime.bus.bus import ConnectionEvent, Subscriber
 from telenano.runtime.bus.socket_monitor import LOCAL_ENDS, Connection, Monitor, MonitorEvent
 from telenano.timing.clock import Clock
 from telenano.wire.messages import MAX_KEYS
-from telenano.wire.nodes import is_visitor
 
 # The topic that every node sends twice a second.
 BEACON = "node/health"
-# A connection that is up and has brought no valid message at this number of looks in a row is replaced. If that does
-# not help, the number doubles up to the most. Looks are counted instead of time, because a process that stood still has
-# messages left to read.
-_SILENT_LOOKS, _MOST_SILENT_LOOKS = 3, 192
 
 
 @dataclass(kw_only=True)
@@ -37,18 +30,13 @@ class NodeConnection(Connection):
     """A connection to a node; times on the monotonic clock [ns].
 
     `since_ns`: time of its last beginning or end. `detached`: the socket has no connection to the endpoint until it is
-    made again. `is_deaf`: the publisher was there, and libzmq had given the connection up. `heard` is the number of
-    messages received from the node, and `silent` that of looks since it last rose; at `most_silent` of them the
-    connection is replaced.
+    made again. `is_deaf`: the publisher was there, and libzmq had given the connection up.
     """
 
     node: str
     since_ns: int
     detached: bool = False
     is_deaf: bool = False
-    heard: int = 0
-    silent: int = 0
-    most_silent: int = _SILENT_LOOKS
 
 
 C = TypeVar("C", bound=NodeConnection)
@@ -60,8 +48,6 @@ class Connections(Generic[C]):
     # Events of libzmq by which the connections are followed, and number of looks after which one is made again.
     _events_wanted: ClassVar[int] = LOCAL_ENDS
     _looks: ClassVar[int] = 2
-    # Whether a connection that is up and silent is replaced.
-    _replaces_silent = False
 
     def __init__(self, subscriber: Subscriber, clock: Clock, connections: list[C]) -> None:
         """Follow the connections of a subscriber from now on."""
@@ -97,12 +83,10 @@ class Connections(Generic[C]):
         """Do nothing: connections of this machine need no keys."""
 
     def look(self, now_ns: int) -> None:
-        """Make connections again that libzmq has given up, or that are silent where that has a meaning."""
+        """Make connections again that libzmq has given up, and report whom this process could not hear."""
         # Disconnecting drops messages that were not read yet, such as the last ones of a node, so all are read before.
         if not self.subscriber.drained:
             return
-        if self._replaces_silent:
-            self._end_silent()
         due = [connection for connection in self.connections if connection.look() >= self._looks]
         deaf = [connection for connection in due if connection.is_given_up(self._looks)]
         # All ended connections are let go before any is made again, because libzmq identifies one that it has dropped
@@ -137,30 +121,6 @@ class Connections(Generic[C]):
             silence = f"received nothing from {connection.node} for {silent_s:.1f} s, although it runs"
             text = f"{silence}: connected again to {connection.endpoint}"
             self._report("warning", text, connection, "deaf", silent_s=silent_s)
-
-    def _end_silent(self) -> None:
-        """End each connection that is up but brings no valid message; it is made again at this look."""
-        received: Counter[str] = Counter()
-        for (_, src), tracker in self.subscriber.trackers.items():
-            received[src] += tracker.received + tracker.duplicates
-        for connection in self.connections:
-            heard = sum(count for src, count in received.items() if may_carry(connection.node, src))
-            if heard != connection.heard:
-                connection.heard, connection.silent, connection.most_silent = heard, 0, _SILENT_LOOKS
-            elif connection.up and not is_visitor(connection.node):
-                connection.silent += 1
-        silent = [each for each in self.connections if each.up and each.silent >= each.most_silent]
-        if silent and not self.subscriber.pending():
-            for connection in silent:
-                self._note_silent(connection)
-                connection.up, connection.ended, connection.looks = False, True, self._looks
-                connection.silent, connection.most_silent = 0, min(2 * connection.most_silent, _MOST_SILENT_LOOKS)
-        elif silent:
-            # That call may have consumed the signal of the descriptor.
-            self.subscriber.drained = False
-
-    def _note_silent(self, connection: C) -> None:
-        """Report that a connection is up and brings nothing."""
 
     def _let_go(self, connection: C) -> None:
         """Disconnect from an endpoint, unless libzmq has already done so after a violation of the protocol."""

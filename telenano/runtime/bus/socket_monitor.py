@@ -2,8 +2,8 @@
 
 libzmq makes a lost connection again by itself. It does not if the peer broke the protocol, such as by a frame that is
 too large: then it gives the endpoint up for good, and both processes go on in silence. It reports the end of each
-connection, though, and each beginning. So one rule finds what it has given up, over IPC, over TCP and in the fan-out:
-a connection has ended, and at further looks libzmq has not begun it again.
+connection, though, and each beginning. So one rule finds what it has given up within a machine, in a node and in the
+fan-out: a connection has ended, and at further looks libzmq has not begun it again.
 
 The module imports no models, because the fan-out starts with each session.
 """
