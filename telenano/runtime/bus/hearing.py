@@ -12,7 +12,6 @@ rely on any of this: a device acts on the age of its newest input.
 import errno
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Generic, TypeVar
 
 import zmq
 
@@ -23,6 +22,8 @@ from telenano.wire.messages import MAX_KEYS
 
 # The topic that every node sends twice a second.
 BEACON = "node/health"
+# Number of looks after which a connection that has ended is made again.
+_LOOKS = 2
 
 
 @dataclass(kw_only=True)
@@ -39,23 +40,21 @@ class NodeConnection(Connection):
     is_deaf: bool = False
 
 
-C = TypeVar("C", bound=NodeConnection)
+class LocalConnections:
+    """The connections of a subscriber to nodes of its machine, which share its socket."""
 
-
-class Connections(Generic[C]):
-    """The connections of a subscriber to nodes, which share its socket."""
-
-    # Events of libzmq by which the connections are followed, and number of looks after which one is made again.
-    _events_wanted: ClassVar[int] = LOCAL_ENDS
-    _looks: ClassVar[int] = 2
-
-    def __init__(self, subscriber: Subscriber, clock: Clock, connections: list[C]) -> None:
-        """Follow the connections of a subscriber from now on."""
+    def __init__(self, endpoints: Mapping[str, str], subscriber: Subscriber, clock: Clock) -> None:
+        """Connect a subscriber to the ipc endpoints (values) of nodes (keys), and follow the connections."""
+        now_ns = clock.monotonic_ns()
         self.subscriber = subscriber
-        self.connections = connections
-        self.monitor = Monitor(subscriber.socket, self._events_wanted)
+        self.connections = [
+            NodeConnection(endpoint, node=node, since_ns=now_ns) for node, endpoint in endpoints.items()
+        ]
+        self.monitor = Monitor(subscriber.socket, LOCAL_ENDS)
         self._clock = clock
         self._events: list[ConnectionEvent] = []
+        for endpoint in endpoints.values():
+            subscriber.socket.connect(endpoint)
 
     @property
     def sockets(self) -> list["zmq.Socket[bytes]"]:
@@ -87,8 +86,8 @@ class Connections(Generic[C]):
         # Disconnecting drops messages that were not read yet, such as the last ones of a node, so all are read before.
         if not self.subscriber.drained:
             return
-        due = [connection for connection in self.connections if connection.look() >= self._looks]
-        deaf = [connection for connection in due if connection.is_given_up(self._looks)]
+        due = [connection for connection in self.connections if connection.look() >= _LOOKS]
+        deaf = [connection for connection in due if connection.is_given_up(_LOOKS)]
         # All ended connections are let go before any is made again, because libzmq identifies one that it has dropped
         # by an address in memory, which the next connection may reuse.
         for connection in self.connections if due else ():
@@ -103,7 +102,7 @@ class Connections(Generic[C]):
             # The call may have consumed the signal of the descriptor, for which a loop would wait.
             self.subscriber.drained = False
 
-    def _record(self, connection: C, event: MonitorEvent) -> None:
+    def _record(self, connection: NodeConnection, event: MonitorEvent) -> None:
         was_up, now_ns = connection.up, self._clock.monotonic_ns()
         connection.record(event.kind)
         if was_up and not connection.up:
@@ -114,7 +113,7 @@ class Connections(Generic[C]):
             text = f"messages of {connection.node} arrive again after {silent_s:.1f} s"
             self._report("info", text, connection, "up", silent_s=silent_s)
 
-    def _note_deaf(self, connection: C, now_ns: int) -> None:
+    def _note_deaf(self, connection: NodeConnection, now_ns: int) -> None:
         if not connection.is_deaf:
             connection.is_deaf = True
             silent_s = (now_ns - connection.since_ns) * 1e-9
@@ -122,7 +121,7 @@ class Connections(Generic[C]):
             text = f"{silence}: connected again to {connection.endpoint}"
             self._report("warning", text, connection, "deaf", silent_s=silent_s)
 
-    def _let_go(self, connection: C) -> None:
+    def _let_go(self, connection: NodeConnection) -> None:
         """Disconnect from an endpoint, unless libzmq has already done so after a violation of the protocol."""
         if connection.detached:
             return
@@ -133,7 +132,7 @@ class Connections(Generic[C]):
             if error.errno != errno.ENOENT:
                 raise
 
-    def _find(self, endpoint: str) -> C | None:
+    def _find(self, endpoint: str) -> NodeConnection | None:
         """Return the connection of an endpoint as libzmq reports it, None if there is none.
 
         libzmq may have resolved a host name to an address. The port then identifies the connection, because all these
@@ -144,21 +143,9 @@ class Connections(Generic[C]):
         same_port = (each for each in self.connections if each.endpoint.rpartition(":")[2] == port)
         return next(iter(exact or same_port), None)
 
-    def _report(self, level: str, text: str, connection: C, state: str, **data: float) -> None:
+    def _report(self, level: str, text: str, connection: NodeConnection, state: str, **data: float) -> None:
         facts: dict[str, bool | float | str] = {"peer": connection.node, "endpoint": connection.endpoint}
         self._events.append(ConnectionEvent(level, text, {**facts, "connection": state, **data}))
-
-
-class LocalConnections(Connections[NodeConnection]):
-    """The connections of a subscriber to nodes of its machine."""
-
-    def __init__(self, endpoints: Mapping[str, str], subscriber: Subscriber, clock: Clock) -> None:
-        """Connect a subscriber to the ipc endpoints (values) of nodes (keys)."""
-        now_ns = clock.monotonic_ns()
-        made = [NodeConnection(endpoint, node=node, since_ns=now_ns) for node, endpoint in endpoints.items()]
-        super().__init__(subscriber, clock, made)
-        for endpoint in endpoints.values():
-            subscriber.socket.connect(endpoint)
 
 
 class Hearing:
@@ -167,7 +154,7 @@ class Hearing:
     def __init__(self, clock: Clock) -> None:
         """Begin without connections."""
         self._clock = clock
-        self.readers: list[Connections[NodeConnection]] = []
+        self.readers: list[LocalConnections] = []
 
     def look(self, now_ns: int) -> None:
         """Look after the connections of every reader that is open."""
