@@ -13,6 +13,7 @@ from telenano.cli.child_session import run_session
 from telenano.cli.lazy_commands import ALIASES
 from telenano.cli.model_options import validated
 from telenano.cli.option_rules import Keys, Void
+from telenano.settings.scenario import SEEDS
 from telenano.wire.errors import ConfigError, RigError, probably_meant
 
 R = TypeVar("R", bound=BaseModel)
@@ -23,7 +24,6 @@ _DELAY = "round_trip_ms"
 _DELAY_OPTION = "--round-trip-ms"
 # The key of a sweep for the seed of the session, which is the seed of everything random in it.
 SEED = "seed"
-_SEEDS = ("delay_node.seed", "haptic_node.disturbances.seed", "afm_node.disturbances.seed")
 _SEED_OPTION = "--seed"
 _MOST_SESSIONS = 100
 # What the options of a session state, alone or in a sweep, and which of them are for a sweep alone.
@@ -31,7 +31,7 @@ SESSION_RULES = (
     Keys("--duration", "duration_s"),
     Keys("--instrument", "instrument"),
     Keys("--round-trip-ms", f"{_DELAY}, delay_node.forward.delay_s, delay_node.backward.delay_s"),
-    Keys("--seeds", ", ".join((SEED, *_SEEDS))),
+    Keys("--seeds", ", ".join((SEED, *SEEDS))),
     Keys("--sweep"),
     Void("--table", "whose sessions it compares", unless="--sweep, --seeds"),
     Void("--overwrite", "the folder that it is about; without --out a session has a new one", unless="--out"),
@@ -105,7 +105,7 @@ def _option(key: str, value: str, seed_option: str) -> tuple[str, ...]:
     if key == SEED and seed_option:
         return seed_option, value
     if key == SEED:
-        return tuple(word for seed in _SEEDS for word in ("--set", f"{seed}={value}"))
+        return tuple(word for seed in SEEDS for word in ("--set", f"{seed}={value}"))
     return (_DELAY_OPTION, value) if key == _DELAY else ("--set", f"{key}={value}")
 
 

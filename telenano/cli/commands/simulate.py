@@ -38,7 +38,8 @@ from telenano.launcher.plan import Plan
 from telenano.launcher.run import Outcome, default_folder, report_of, reserved_folder
 from telenano.settings.config import permit_code
 from telenano.settings.plugins import known_problems
-from telenano.virtual.request import SEEDS, SimulateRequest, plan_of, run_plan
+from telenano.settings.scenario import SEEDS
+from telenano.virtual.request import SimulateRequest, plan_of, run_plan
 from telenano.wire.errors import ConfigError, ReportError
 
 
