@@ -1,5 +1,6 @@
 """Options and arguments that several commands share, and a function that makes a group of commands."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -33,6 +34,9 @@ SeedsOption = Annotated[
         metavar="N",
         help="Run a session for each of the seeds 0 to N - 1, and give mean, deviation and interval.",
     ),
+]
+JobsOption = Annotated[
+    int | None, typer.Option("--jobs", min=1, metavar="N", help="How many run at a time; default: one a processor.")
 ]
 AllowCodeOption = Annotated[
     bool,
@@ -126,6 +130,11 @@ def _known_style(text: str) -> str:
 
         FigureOptions.of(style=text)
     return text
+
+
+def processors() -> int:
+    """Return how many processors this process may use: the default of `--jobs`."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def table_formats(text: str) -> tuple[str, ...]:
