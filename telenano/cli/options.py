@@ -8,6 +8,7 @@ import typer
 
 from telenano.cli.completion import node_names, scenario_keys, topic_names
 from telenano.cli.lazy_commands import OpenGroup
+from telenano.recording.recorded_time import RecordedTime, recorded_time
 from telenano.settings.included import SITE_DIRECTORY, site_file_named
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import Site
@@ -111,6 +112,16 @@ SettingsOption = Annotated[
         help="Change one key first (SI units); may be repeated.",
         autocompletion=scenario_keys,
     ),
+]
+StartOption = Annotated[
+    RecordedTime | None,
+    typer.Option(
+        "--start", metavar="TIME", parser=recorded_time, help="From this time on: seconds, or in any form printed."
+    ),
+]
+EndOption = Annotated[
+    RecordedTime | None,
+    typer.Option("--end", metavar="TIME", parser=recorded_time, help="Up to this time."),
 ]
 _TABLE_FORMATS = ("csv", "parquet", "mat")
 
