@@ -23,7 +23,6 @@ from telenano.cli.options import (
     SeedsOption,
     StyleOption,
     TableOption,
-    processors,
     table_formats,
 )
 from telenano.cli.output import (
@@ -41,6 +40,7 @@ from telenano.launcher.run import Outcome, default_folder, report_of, reserved_f
 from telenano.settings.config import permit_code
 from telenano.settings.plugins import known_problems
 from telenano.settings.scenario import SEEDS
+from telenano.signals.children import processors
 from telenano.virtual.request import SimulateRequest, plan_of, run_plan
 from telenano.wire.errors import ConfigError, ReportError
 
