@@ -144,7 +144,12 @@ def usage_text(error: Any) -> str:
         if meant := behind or _MEANT.get(option, ""):
             message = f"{message.partition('; ')[0]}: {meant}"
     if path in (" up", " simulate") and (setting := re.search(r"extra argument\S* \(([\w.]+=\S*?)[ )]", message)):
-        message = f"{message}: a key of the scenario is changed by --set {setting[1]}"
+        from telenano.launcher.scenario_keys import keys_named
+
+        name, _, value = setting[1].partition("=")
+        # A word that is the last part of a key stands for it.
+        ends = [key for key in keys_named(name) if key.endswith(f".{name}")] if "." not in name else []
+        message = f"{message}: a key of the scenario is changed by --set {(ends or [name])[0]}={value}"
     return f"{message[:1].lower()}{message[1:]} (`telenano{path} --help` explains)"
 
 
