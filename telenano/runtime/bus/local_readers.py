@@ -65,6 +65,8 @@ class LocalReaders:
         # Bytes not read on the connection of each stranger, and number of looks since they changed.
         self._standing: dict[Accepted, tuple[int, int]] = {}
         self._open_files = -1
+        # The processes that were found to be nodes of the site file: their lock files may be removed under way.
+        self._nodes: set[int] = set()
         self._reported: set[tuple[int, str]] = set()
 
     def add(self, endpoint: str | None) -> None:
@@ -86,9 +88,12 @@ class LocalReaders:
         closed: list[Closed] = []
         # A connection was made or has ended since the last look.
         if count != self._open_files:
-            holders = self._holders()
+            found = list(accepted(self.paths))
+            # A process that has gone, whose number another one may have, is forgotten.
+            self._nodes &= {each.process for each in found}
+            self._nodes.update(self._holders())
             self._open_files = count
-            strangers = [each for each in accepted(self.paths) if each.process not in holders]
+            strangers = [each for each in found if each.process not in self._nodes]
             before = self._standing
             self._standing = {each: before.get(each, (0, 0)) for each in strangers}
             closed = self._close_surplus(strangers)

@@ -137,21 +137,27 @@ def send(served: Served, count: int) -> None:
         served.publisher.send("afm/state", bytes(1000))
 
 
-@pytest.mark.parametrize("kind", ["stands still", "reads", "node"])
+@pytest.mark.parametrize("kind", ["stands still", "reads", "node", "node whose lock file is removed"])
 def test_a_stranger_that_reads_nothing_is_cut_off_and_no_other(
     served: Served, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     reader = served.program(SUBSCRIBES, f"ipc://{served.path}", 1, "reads" if kind == "reads" else "")
-    if kind == "node":
-        (Path(served.path).parent / "recorder@master.lock").write_text(f"{reader.pid}\nrecorder@master\n\n")
+    lock = Path(served.path).parent / "recorder@master.lock"
+    if kind.startswith("node"):
+        lock.write_text(f"{reader.pid}\nrecorder@master\n\n")
     served.until(1, reader)
     time.sleep(0.1)
+    if kind == "node whose lock file is removed":
+        served.look()
+        lock.unlink()
+        # What is known of the readers is asked again as soon as there is another one.
+        served.program(CONNECTS, served.path, 1)
     for _ in range(12):
         send(served, 500)
         time.sleep(0.05)
         served.look()
     assert served.connections(reader) == (0 if kind == "stands still" else 1)
-    assert [event.data for event in served.events] == (
+    assert [event.data for event in served.events if event.data["process"] == reader.pid] == (
         [{"process": reader.pid, "count": 1}] if kind == "stands still" else []
     )
 
