@@ -88,7 +88,7 @@ for s in trying:
     except OSError:
         s.close()
 print(len(waiting), began_s, time.monotonic() - begun, flush=True)
-accepted, end = len(waiting), time.monotonic() + 12
+accepted, end = len(waiting), time.monotonic() + 40
 while waiting and time.monotonic() < end:
     for s in list(waiting):
         try:
@@ -239,9 +239,15 @@ def process_of(site: Site, node: str) -> int:
 
 
 def take_up_again(rig: TwoSites) -> None:
-    """Arm both devices and leave them a second of coupled operation."""
-    rig.rearm()
-    time.sleep(1.5)
+    """Arm both devices until the tip has followed the hand for a second; on a slow machine a stall withdraws it."""
+
+    def coupled() -> bool:
+        rig.rearm()
+        time.sleep(1.5)
+        found = rig.slave.recording().messages("afm/state", time.time_ns() - NS_PER_S)
+        return {message.fields()["mode"] for message in found} == {"follow"}
+
+    rig.wait_until(coupled, "a second of coupled operation")
 
 
 def refusals(rig: TwoSites, reason: str, node: str = "delay_node@master") -> int:

@@ -120,12 +120,14 @@ class LocalReaders:
     def _close_standing(self) -> list[Closed]:
         gone: dict[int, int] = {}
         for each, (before, looks) in list(self._standing.items()):
-            unread = _unread(each)
-            looks = looks + 1 if unread and unread == before else 0
-            self._standing[each] = unread, looks
+            waiting = unread(each)
+            looks = looks + 1 if waiting and waiting == before else 0
+            self._standing[each] = waiting, looks
             if looks >= _STANDING_LOOKS and self._close(each):
                 gone[each.process] = gone.get(each.process, 0) + 1
-        return [Closed(process, count, "nothing was read on them") for process, count in gone.items()]
+        return [
+            Closed(process, count, "their reader does not keep up with what is sent") for process, count in gone.items()
+        ]
 
     def _close(self, connection: Accepted) -> bool:
         self._standing.pop(connection, None)
@@ -176,7 +178,8 @@ def holders_of(locks: Iterable[Path]) -> set[int]:
     return found
 
 
-def _unread(connection: Accepted) -> int:
+def unread(connection: Accepted) -> int:
+    """Return the number of bytes that were sent on a connection and that its reader has not read yet."""
     try:
         answer = fcntl.ioctl(connection.descriptor, _SIOCOUTQ, bytes(4))
     except OSError:
