@@ -84,6 +84,8 @@ waiting = []
 for s in trying:
     try:
         s.getpeername()
+        # Where the queue of the listener is full, its end of the connection begins with the first byte.
+        s.send(b"\\xff")
         waiting.append(s)
     except OSError:
         s.close()
