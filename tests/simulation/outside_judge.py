@@ -203,7 +203,7 @@ def judge_counters(session: Session) -> Iterator[Break]:
             continue
         for key, count in one.fields["data"].items():
             src, topic = one.fields["src"], key.removeprefix("sent.")
-            last = [seq for at_s, seq, _ in session.sent.get((src, topic), []) if at_s <= one.sent_s + 0.001][-1:]
+            last = [seq for at_s, seq, _ in session.sent.get((src, topic), []) if at_s <= one.sent_s][-1:]
             if last and count != last[0] + 1:
                 yield Break("counters_agree", one.sent_s, f"{src} says {count} on {topic}, and {last[0] + 1} were sent")
 
