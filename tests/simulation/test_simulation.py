@@ -3,6 +3,7 @@
 import datetime
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -147,6 +148,36 @@ def check_found(name: str) -> None:
 
 def test_every_invariant_has_a_planted_fault() -> None:
     assert {name for fault in PLANTED.values() for name in fault.breaks} == set(INVARIANTS)
+
+
+def _rows(page: Path, head: str) -> list[list[str]]:
+    """Return the cells of the rows of all tables of a page that have this first head."""
+    rows, inside = list[list[str]](), False
+    for line in page.read_text(encoding="utf-8").splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")] if line.startswith("|") else []
+        inside = bool(cells) and (inside or cells[0] == head)
+        if inside and cells[0] not in (head, "---"):
+            rows.append(cells)
+    return rows
+
+
+def test_every_hazard_is_an_invariant_or_says_why_it_is_none() -> None:
+    hazards = _rows(ROOT / "docs" / "hazards.md", "hazard")
+    told = _rows(HERE / "README.md", "hazard")
+    assert [row[0] for row in told] == [row[0] for row in hazards]
+    files = {path.name for folder in ("tests", "packages") for path in (ROOT / folder).rglob("test_*.py")}
+    for hazard, reason in told:
+        named, _, why = reason.partition(";") if reason.startswith("`") else ("", "", reason)
+        assert set(re.findall(r"`(\w+)`", named)) <= set(INVARIANTS), hazard
+        assert bool(named) or bool(why), hazard
+        # A reason is a sentence with the tests that stand in the place of the invariant.
+        tests = set(re.findall(r"`(test_\w+\.py)`", why))
+        assert bool(tests) == bool(re.search(r"\w+ \w+ \w+", why)), hazard
+        assert tests <= files, hazard
+
+
+def test_every_invariant_is_a_row_of_the_table() -> None:
+    assert {row[0].strip("`") for row in _rows(HERE / "README.md", "invariant")} == set(INVARIANTS)
 
 
 def _short(*events: Event) -> Schedule:
