@@ -590,6 +590,7 @@ def killed(site: Site) -> float:
 
 
 def test_the_slave_killed_and_started_again_is_taken_up(rig: TwoSites) -> None:
+    take_up_again(rig)
     fault = Fault(rig)
     dead_s = killed(rig.slave)
     time.sleep(2.0)
@@ -608,6 +609,7 @@ def test_the_slave_killed_and_started_again_is_taken_up(rig: TwoSites) -> None:
 
 
 def test_the_master_killed_and_started_again_begins_anew(rig: TwoSites) -> None:
+    take_up_again(rig)
     fault = Fault(rig)
     dead_s = killed(rig.master)
     time.sleep(2.0)
