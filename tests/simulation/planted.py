@@ -34,6 +34,7 @@ from telenano.runtime.loop import commands, kept_stop
 from telenano.runtime.loop.estop_latch import EstopLatch
 from telenano.timing.freshness import Freshness
 from telenano.virtual.bus import VirtualBus
+from telenano.wire.sequence import SequenceTracker
 
 Patch = contextlib.AbstractContextManager[Any]
 
@@ -46,10 +47,9 @@ class Fault(NamedTuple):
     patches: Callable[[], list[Patch]]
     events: tuple[Event, ...] = ()
 
-    @property
-    def schedule(self) -> Schedule:
-        """A schedule that shows the fault, and breaks nothing without it."""
-        return Schedule(seed=1, law="wave", delay_s=0.02, link_s=0.0, events=self.events)
+    def schedule(self, processes: str) -> Schedule:
+        """Return a schedule that shows the fault with these processes, and breaks nothing without it."""
+        return Schedule(seed=1, law="wave", delay_s=0.02, link_s=0.0, events=self.events, processes=processes)
 
     @property
     def is_of_report(self) -> bool:
@@ -355,6 +355,12 @@ PLANTED: dict[str, Fault] = {
             lambda facts: lambda *given: {**facts(*given), "missing": [], "complete": True},
         ),
         events=[_at(2.0, "kill", node="recorder@master", after=0, torn=0.0)],
+    ),
+    "a head that is no loss": _fault(
+        "what a new process sends before a recorder hears it is not counted",
+        "recorded_as_sent",
+        _instead(SequenceTracker, "_restart", lambda restart: lambda self, seq, run: restart(self, 0, run)),
+        events=[_at(2.0, "kill", node=TIP, after=0, torn=0.0, how="replaced")],
     ),
     "a silence taken for a loss": _fault(
         "a device that sent nothing for a while counts as one whose messages are missing",
