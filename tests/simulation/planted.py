@@ -40,16 +40,17 @@ Patch = contextlib.AbstractContextManager[Any]
 
 
 class Fault(NamedTuple):
-    """A planted fault: its effect, the invariants that it breaks, its patches, and the events that show it."""
+    """A planted fault: its effect, the invariants that it breaks, its patches, and events and law that show it."""
 
     about: str
     breaks: frozenset[str]
     patches: Callable[[], list[Patch]]
     events: tuple[Event, ...] = ()
+    law: str = "wave"
 
     def schedule(self, processes: str) -> Schedule:
         """Return a schedule that shows the fault with these processes, and breaks nothing without it."""
-        return Schedule(seed=1, law="wave", delay_s=0.02, link_s=0.0, events=self.events, processes=processes)
+        return Schedule(seed=1, law=self.law, delay_s=0.02, link_s=0.0, events=self.events, processes=processes)
 
     @property
     def is_of_report(self) -> bool:
@@ -65,8 +66,10 @@ class Fault(NamedTuple):
             yield
 
 
-def _fault(about: str, breaks: str, *patches: Callable[[], Patch], events: Sequence[Event] = ()) -> Fault:
-    return Fault(about, frozenset(breaks.split()), lambda: [patch() for patch in patches], tuple(events))
+def _fault(
+    about: str, breaks: str, *patches: Callable[[], Patch], events: Sequence[Event] = (), law: str = "wave"
+) -> Fault:
+    return Fault(about, frozenset(breaks.split()), lambda: [patch() for patch in patches], tuple(events), law)
 
 
 def _at(at_s: float, kind: str, **facts: Any) -> Event:
@@ -224,6 +227,13 @@ PLANTED: dict[str, Fault] = {
         "place_of_mode",
         _instead(tip_guard, "_next_base", _held_in_motion),
         events=[_at(0.95, "delay", forward_s=0.12, backward_s=0.01)],
+    ),
+    "a resumption at full speed": _fault(
+        "the base goes at its full speed as soon as a hold is over",
+        "place_of_mode",
+        _instead(tip_guard, "_slower", lambda _: lambda params, state, mode, dt: 0.0),
+        events=[_at(0.92, "stall", node="controller@slave", for_s=0.12)],
+        law="virtual_impedance",
     ),
     "a sign of the base": _fault(
         "the instrument goes the other way",
