@@ -102,6 +102,10 @@ class ConfigError(TelenanoError):
     """A configuration, scenario or site file is missing or wrong; the text names file and key."""
 
 
+class NoEstimateError(ConfigError):
+    """A measurement does not tell the value that was asked for; the text says why, and what would tell it."""
+
+
 class EndpointError(TelenanoError):
     """A socket cannot be bound or connected; the text names the endpoint and, if known, the process that holds it."""
 
