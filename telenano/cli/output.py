@@ -29,6 +29,7 @@ from telenano.signals import interrupts
 from telenano.wire.errors import (
     ConfigError,
     ExistsError,
+    NoEstimateError,
     NoRecordingError,
     ReportError,
     TelenanoError,
@@ -58,9 +59,9 @@ def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[N
     try:
         yield
     except TelenanoError as error:
-        code = (
-            EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError | NoRecordingError | ExistsError) else EXIT_FAILED
-        )
+        is_asked_wrongly = isinstance(error, ConfigError | NoRecordingError | ExistsError)
+        code = EXIT_BAD_CONFIGURATION if is_asked_wrongly else EXIT_FAILED
+        code = EXIT_INCOMPLETE if isinstance(error, NoEstimateError) else code
         fail(*error.lines, code=interrupts.exit_code() or code, as_json=as_json, **error.facts)
     except BrokenPipeError:
         raise  # the reader of the pipe had enough; `telenano.cli.app` exits with code 0
