@@ -48,6 +48,7 @@ from telenano.wire.errors import ConfigError, ReportError
 @rules(
     *SESSION_RULES,
     Keys("--seed", ", ".join((SEED, *SEEDS))),
+    Void("--jobs", "which is one session", unless="--sweep, --seeds"),
     Keys("--both-sites", "recorder.far"),
     Void("--format, --style", "which leaves out the figure", beside="--no-report", unless="--sweep, --seeds"),
 )
