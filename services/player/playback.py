@@ -60,7 +60,7 @@ class Playback:
 
     def at(self, time_s: float) -> int:
         """Return the position [ns] of a time [s] from the start of the recording, limited to about thirty years."""
-        return self._limited(time_in(self.origin_ns, time_s))
+        return time_in(self.origin_ns, min(max(time_s, -_LONGEST_NS / _NS), _LONGEST_NS / _NS))
 
     def _limited(self, at_ns: int) -> int:
         return min(max(at_ns, self.origin_ns - _LONGEST_NS), self.origin_ns + _LONGEST_NS)
