@@ -104,7 +104,19 @@ class RecordedSession(Session):
         self._paths = list(paths)
         # Made before the files are opened, because it reads their state.
         self._kept = KeptSummary(self._paths) if self._paths else None
+        self._same_session = same_session
         self._source = open_recordings(self._paths, same_session=same_session)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Another process opens the files again; what is known of them goes with it.
+        known = {"_judged": self._judged} if self.is_judged else {}
+        return RecordedSession._opened, ([path.absolute() for path in self._paths], self._same_session, known)
+
+    @classmethod
+    def _opened(cls, paths: list[Path], same_session: bool, known: dict[str, Any]) -> "RecordedSession":
+        session = cls(paths, same_session=same_session)
+        session.__dict__.update(known)
+        return session
 
     def __repr__(self) -> str:
         length = "" if self.start_ns is None else ", with a session of the operator"
@@ -268,6 +280,9 @@ class LiveRig:
 
     def __init__(self, observer: Any) -> None:
         self._observer = observer
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        raise TypeError("a LiveRig is a connection of this process: call telenano.live() in the other one")
 
     def __repr__(self) -> str:
         return f"<LiveRig: {', '.join(sorted(self._observer.subscribers))}>"

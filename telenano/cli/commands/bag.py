@@ -14,9 +14,11 @@ from telenano.cli.completion import node_names
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.options import (
     CountOption,
+    EndOption,
     ExcludeOption,
     JsonOption,
     SameSessionOption,
+    StartOption,
     TopicsOption,
     command_group,
 )
@@ -39,8 +41,6 @@ OutOption = Annotated[Path, typer.Option("--out", metavar="PATH", help="File or 
 NodesOption = Annotated[
     list[str] | None, typer.Option("--nodes", metavar="NODE", help="Only messages of these nodes (repeatable).")
 ]
-StartOption = Annotated[float, typer.Option("--start", min=0.0, metavar="S", help="From this time on [s].")]
-EndOption = Annotated[float | None, typer.Option("--end", metavar="S", help="Up to this time [s].")]
 ToleranceOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -109,7 +109,7 @@ def cat(
     topics: TopicsOption = None,
     exclude: ExcludeOption = None,
     nodes: NodesOption = None,
-    start: StartOption = 0.0,
+    start: StartOption = None,
     end: EndOption = None,
     count: CountOption = None,
     same_session: SameSessionOption = False,
@@ -118,13 +118,14 @@ def cat(
     with report_errors(as_json=False):
         from telenano.recording.channel_filter import some_of
         from telenano.recording.multi_file import open_recordings
+        from telenano.recording.recorded_time import span_of
         from telenano.recording.tables import line
 
         recording = open_recordings(files, same_session=same_session)
         chosen = Selection.of(topics or (), exclude or (), nodes or ())
         chosen.demand_some_of(files[0], recording.channels)
         span_ns = recording.span_ns
-        messages = recording.select(chosen, *_bounds(span_ns[0], start, end))
+        messages = recording.select(chosen, *span_of(span_ns[0], start, end))
         for message in islice(some_of(files[0], messages, span_ns, start, end), count):
             print_json(line(message))
 
@@ -136,7 +137,7 @@ def filter_file(
     topics: TopicsOption = None,
     exclude: ExcludeOption = None,
     nodes: NodesOption = None,
-    start: StartOption = 0.0,
+    start: StartOption = None,
     end: EndOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -231,13 +232,17 @@ def export(
     ],
     topics: TopicsOption = None,
     exclude: ExcludeOption = None,
+    start: StartOption = None,
+    end: EndOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Convert a recording for other tools; viewers read mcap-json."""
     with report_errors(as_json):
         from telenano.recording.export import export_recording
+        from telenano.recording.rewrite import part_of
 
-        _print_model(export_recording(file, out, to, Selection.of(topics or (), exclude or ())), as_json)
+        with part_of(file, start, end) as part:
+            _print_model(export_recording(part, out, to, Selection.of(topics or (), exclude or ())), as_json)
 
 
 @app.command()
@@ -294,11 +299,6 @@ def _row(path: Path) -> dict[str, Any]:
     note = f"{note}, {info.lost} messages missing".strip(", ") if info.lost else note
     facts = {"path": str(path), "duration_s": round(info.duration_s, 3), "messages": info.messages}
     return {**facts, "size_bytes": info.size_bytes, "note": note}
-
-
-def _bounds(origin_ns: int, start_s: float, end_s: float | None) -> tuple[int, int | None]:
-    end_ns = None if end_s is None else origin_ns + round(end_s * 1e9)
-    return origin_ns + round(start_s * 1e9), end_ns
 
 
 def _print_model(model: BaseModel, as_json: bool) -> None:
