@@ -11,8 +11,17 @@ from services.player.playback import Span
 from services.player.run import ReplayRequest, run_replay
 from telenano.cli.keyboard import RawKeyboard
 from telenano.cli.option_rules import Void, rules
-from telenano.cli.options import ExcludeOption, JsonOption, SameSessionOption, SiteFileOption, TopicsOption
+from telenano.cli.options import (
+    EndOption,
+    ExcludeOption,
+    JsonOption,
+    SameSessionOption,
+    SiteFileOption,
+    StartOption,
+    TopicsOption,
+)
 from telenano.cli.output import print_answer, report_errors, say
+from telenano.recording.recorded_time import START
 from telenano.settings.included import DEFAULT_SITE_FILE
 from telenano.wire.errors import TelenanoError
 
@@ -70,8 +79,8 @@ def replay(
     rate: Annotated[
         float, typer.Option("--rate", min=0.0, help="1 as recorded, 0 as fast as the slowest reader keeps up.")
     ] = 1.0,
-    start: Annotated[float, typer.Option("--start", min=0.0, metavar="S", help="Begin here [s].")] = 0.0,
-    end: Annotated[float | None, typer.Option("--end", metavar="S", help="End here [s].")] = None,
+    start: StartOption = None,
+    end: EndOption = None,
     duration: Annotated[
         float | None, typer.Option("--duration", metavar="S", help="Duration from --start to the end [s].")
     ] = None,
@@ -92,14 +101,15 @@ def replay(
     and off, q end. The same by `telenano session set player.KEY=VALUE --target player`.
     """
     with report_errors(as_json):
-        until = end if duration is None else start + duration
+        begin = start or START
+        until = end if duration is None else begin.later(duration)
         request = ReplayRequest(
             files,
             site_file,
             nodes or (),
             topics or (),
             exclude or (),
-            Span(start, until, loop),
+            Span(begin, until, loop),
             PlaySettings(rate, paused, wait),
             same_session,
         )

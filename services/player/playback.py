@@ -8,22 +8,23 @@ from dataclasses import dataclass
 
 from telenano.recording.messages import ChannelFilter, RecordedChannel, RecordedMessage
 from telenano.recording.multi_file import RecordingSource
+from telenano.recording.recorded_time import RecordedTime, time_in
 from telenano.recording.sender_time import SenderClock, SenderOrder, SentMessage
 from telenano.settings.package_topics import row_of
 from telenano.wire.errors import RecordingError
 
 _NS = 1e9
-_LONGEST_S = 1e9
+_LONGEST_NS = 10**18
 # Number of messages to keep ready, if there is time to read ahead.
 _READY = 256
 
 
 @dataclass(frozen=True)
 class Span:
-    """Range to play: times [s] from the start of the recording; with `loop` it repeats from `start_s` after `end_s`."""
+    """Range to play; a number is a time from the start of the recording [s]. With `loop` it repeats."""
 
-    start_s: float = 0.0
-    end_s: float | None = None
+    start_s: float | RecordedTime = 0.0
+    end_s: float | RecordedTime | None = None
     loop: bool = False
 
 
@@ -47,19 +48,22 @@ class Playback:
         if not self.channels:
             raise RecordingError(f"{recording.path}: has none of the messages that were selected")
         self._last_ns = last_ns
-        self.start_ns = self.at(span.start_s)
-        self.end_ns = last_ns + 1 if span.end_s is None else self.at(span.end_s)
+        self.start_ns = self._limited(time_in(self.origin_ns, span.start_s))
+        self.end_ns = last_ns + 1 if span.end_s is None else self._limited(time_in(self.origin_ns, span.end_s))
         if self.start_ns > last_ns or self.end_ns <= self.start_ns:
+            from_s, to_s = ((each - self.origin_ns) / _NS for each in (self.start_ns, min(self.end_ns, last_ns)))
             raise RecordingError(
-                f"{recording.path}: is {self.length_s:.3f} s long, "
-                f"there is nothing from {span.start_s:g} s to {self.length_s if span.end_s is None else span.end_s:g} s"
+                f"{recording.path}: is {self.length_s:.3f} s long, there is nothing from {from_s:g} s to {to_s:g} s"
             )
         self.position_ns = self.start_ns
         self._order = self._from(self.start_ns)
 
     def at(self, time_s: float) -> int:
         """Return the position [ns] of a time [s] from the start of the recording, limited to about thirty years."""
-        return self.origin_ns + round(min(max(time_s, -_LONGEST_S), _LONGEST_S) * _NS)
+        return self._limited(time_in(self.origin_ns, time_s))
+
+    def _limited(self, at_ns: int) -> int:
+        return min(max(at_ns, self.origin_ns - _LONGEST_NS), self.origin_ns + _LONGEST_NS)
 
     @property
     def time_s(self) -> float:

@@ -18,12 +18,14 @@ if TYPE_CHECKING:
     from telenano.cli.option_rules import Void as Void
     from telenano.cli.option_rules import rules as rules
     from telenano.cli.options import DurationOption as DurationOption
+    from telenano.cli.options import EndOption as EndOption
     from telenano.cli.options import ExcludeOption as ExcludeOption
     from telenano.cli.options import FormatOption as FormatOption
     from telenano.cli.options import JsonOption as JsonOption
     from telenano.cli.options import RigFileOption as RigFileOption
     from telenano.cli.options import SameSessionOption as SameSessionOption
     from telenano.cli.options import SiteFileOption as SiteFileOption
+    from telenano.cli.options import StartOption as StartOption
     from telenano.cli.options import StyleOption as StyleOption
     from telenano.cli.options import TableOption as TableOption
     from telenano.cli.options import TopicsOption as TopicsOption

@@ -7,6 +7,7 @@ import typer
 
 from telenano.cli.completion import node_names, scenario_keys, topic_names
 from telenano.cli.lazy_commands import OpenGroup
+from telenano.recording.recorded_time import RecordedTime, recorded_time
 from telenano.settings.included import SITE_DIRECTORY, site_file_named
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import Site
@@ -33,6 +34,9 @@ SeedsOption = Annotated[
         metavar="N",
         help="Run a session for each of the seeds 0 to N - 1, and give mean, deviation and interval.",
     ),
+]
+JobsOption = Annotated[
+    int | None, typer.Option("--jobs", min=1, metavar="N", help="How many run at a time; default: one a processor.")
 ]
 AllowCodeOption = Annotated[
     bool,
@@ -107,6 +111,16 @@ SettingsOption = Annotated[
         help="Change one key first (SI units); may be repeated.",
         autocompletion=scenario_keys,
     ),
+]
+StartOption = Annotated[
+    RecordedTime | None,
+    typer.Option(
+        "--start", metavar="TIME", parser=recorded_time, help="From this time on: seconds, or in any form printed."
+    ),
+]
+EndOption = Annotated[
+    RecordedTime | None,
+    typer.Option("--end", metavar="TIME", parser=recorded_time, help="Up to this time."),
 ]
 _TABLE_FORMATS = ("csv", "parquet", "mat")
 

@@ -52,18 +52,31 @@ def _bar(bar: Progress, task: TaskID) -> Show:
 
 
 def _lines(what: str, whole: float | None, *, counted: bool) -> Show:
-    last_s, last = _clock(), (0.0, what)
+    begun_s = last_s = _clock()
+    first: float | None = None
+    last = (0.0, what)
 
     def show(done: float, total: float | None = None, text: str | None = None) -> None:
-        nonlocal last_s, last, whole
+        nonlocal last_s, last, whole, first
+        # What was done before this command says nothing about its speed.
+        first = done if first is None else first
         whole = whole if total is None else total
         now_s, shown = _clock(), (done, text or last[1])
         if now_s - last_s < LINE_EVERY_S or shown == last:
             return
         last_s, last = now_s, shown
-        say(f"{shown[1]}: {_amount(done, whole, counted=counted)}")
+        left = _left(now_s - begun_s, done - first, (whole or done) - done)
+        say(f"{shown[1]}: {_amount(done, whole, counted=counted)}{left}")
 
     return show
+
+
+def _left(spent_s: float, done: float, left: float) -> str:
+    """Return the time left at the speed so far, as `, some 3 min left`; empty where it is not known."""
+    if done <= 0.0 or left <= 0.0:
+        return ""
+    left_s = spent_s * left / done
+    return f", some {left_s / 60.0:.0f} min left" if left_s >= 90.0 else f", some {left_s:.0f} s left"
 
 
 def _amount(done: float, whole: float | None, *, counted: bool) -> str:

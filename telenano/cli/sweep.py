@@ -1,18 +1,27 @@
-"""`--sweep` of `up` and `simulate`: run sessions one after the other with other values, each in its own folder."""
+"""`--sweep` of `up` and `simulate`: run sessions with other values, each in its own folder, and some at a time."""
 
+import contextlib
+import hashlib
 import itertools
+import json
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
-import typer
 from pydantic import BaseModel
 
 from telenano.cli.child_session import run_session
 from telenano.cli.lazy_commands import ALIASES
 from telenano.cli.model_options import validated
 from telenano.cli.option_rules import Keys, Void
+from telenano.cli.output import say
+from telenano.cli.progress_bar import progress
+from telenano.launcher.plan import Plan
+from telenano.settings.scenario import SEEDS
+from telenano.signals import interrupts
 from telenano.wire.errors import ConfigError, RigError, probably_meant
 
 R = TypeVar("R", bound=BaseModel)
@@ -23,7 +32,6 @@ _DELAY = "round_trip_ms"
 _DELAY_OPTION = "--round-trip-ms"
 # The key of a sweep for the seed of the session, which is the seed of everything random in it.
 SEED = "seed"
-_SEEDS = ("delay_node.seed", "haptic_node.disturbances.seed", "afm_node.disturbances.seed")
 _SEED_OPTION = "--seed"
 _MOST_SESSIONS = 100
 # What the options of a session state, alone or in a sweep, and which of them are for a sweep alone.
@@ -31,13 +39,15 @@ SESSION_RULES = (
     Keys("--duration", "duration_s"),
     Keys("--instrument", "instrument"),
     Keys("--round-trip-ms", f"{_DELAY}, delay_node.forward.delay_s, delay_node.backward.delay_s"),
-    Keys("--seeds", ", ".join((SEED, *_SEEDS))),
+    Keys("--seeds", ", ".join((SEED, *SEEDS))),
     Keys("--sweep"),
     Void("--table", "whose sessions it compares", unless="--sweep, --seeds"),
     Void("--overwrite", "the folder that it is about; without --out a session has a new one", unless="--out"),
 )
 # Options of the sweep itself, each with a value, which are not passed on to the sessions.
-_OWN = ("--sweep", "--seeds", "--table", "--out")
+_OWN = ("--sweep", "--seeds", "--table", "--out", "--jobs")
+# The file of a sweep's folder that has a line for each session that began or is done.
+KEPT_NAME = "sessions.jsonl"
 
 
 class Point(NamedTuple):
@@ -105,7 +115,7 @@ def _option(key: str, value: str, seed_option: str) -> tuple[str, ...]:
     if key == SEED and seed_option:
         return seed_option, value
     if key == SEED:
-        return tuple(word for seed in _SEEDS for word in ("--set", f"{seed}={value}"))
+        return tuple(word for seed in SEEDS for word in ("--set", f"{seed}={value}"))
     return (_DELAY_OPTION, value) if key == _DELAY else ("--set", f"{key}={value}")
 
 
@@ -123,29 +133,158 @@ def _whole(option: str, value: str) -> int:
         raise ConfigError(f"{option} = {value}: is not a whole number") from None
 
 
+class Kept:
+    """The sessions of a sweep that were begun and that are done, in a file of its folder: a second start goes on."""
+
+    def __init__(self, folder: Path) -> None:
+        """Read the file if it exists; a line that an interruption has cut short counts as none."""
+        self._folder, self._path = folder, folder / KEPT_NAME
+        self._noted: dict[str, dict[str, Any]] = {}
+        for line in self._path.read_text("utf-8").splitlines() if self._path.exists() else ():
+            with contextlib.suppress(ValueError, KeyError, TypeError):
+                row = json.loads(line)
+                self._noted[row["session"]] = {"settings": row["settings"], "done": row["done"]}
+
+    def is_done(self, name: str, settings: str) -> bool:
+        """Return whether a session is done with these settings and its recording is still there."""
+        noted = self._noted.get(name) == {"settings": settings, "done": True}
+        return noted and any((self._folder / name).glob("*.mcap"))
+
+    def is_partial(self, name: str) -> bool:
+        """Return whether a session was begun and not done, so that its folder has nothing that is worth keeping."""
+        return name in self._noted and not self._noted[name]["done"]
+
+    def note(self, name: str, settings: str, *, done: bool) -> None:
+        """Note that a session begins or is done; RigError if the file cannot be written."""
+        self._noted[name] = {"settings": settings, "done": done}
+        try:
+            self._folder.mkdir(parents=True, exist_ok=True)
+            with self._path.open("a", encoding="utf-8") as file:
+                file.write(json.dumps({"session": name, **self._noted[name]}) + "\n")
+        except OSError as error:
+            raise RigError(f"{self._path}: cannot be written: {error.strerror}") from error
+
+
+def settings_of(request: BaseModel, document: Mapping[str, Any]) -> str:
+    """Return a digest of everything that decides a session: the effective scenario, and what else was asked for."""
+    own = {"out", "overwrite", "scenario", "settings", "page", "wait_s"}
+    places = {"recorder": {**document.get("recorder", {}), "directory": ""}}
+    facts = [request.model_dump(mode="json", exclude=own), {**document, **places}]
+    return hashlib.sha256(json.dumps(facts, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def plan_sweep(
+    points: Sequence[Point], request: R, out: Path, plan: Callable[[R], Plan]
+) -> tuple[Kept, dict[str, str]]:
+    """Make the plan of every session before the first one runs, so that a wrong key or value is found at once.
+
+    Returns:
+        What is kept of an earlier start in the same folder, and for each session the digest of its settings.
+
+    Raises:
+        ConfigError: A key or value is wrong, or the folder has a session of another sweep; the message names it.
+    """
+    kept, settings = Kept(out), {}
+    for point in points:
+        asked = point.asked_of(request, out)
+        found = plan(validated(type(request), {**dict(asked), "overwrite": True}))
+        settings[point.name] = settings_of(asked, found.loaded.document)
+        if not kept.is_done(point.name, settings[point.name]) and not kept.is_partial(point.name):
+            plan(asked)
+    return kept, settings
+
+
 def run_sweep(
     points: Sequence[Point],
     arguments: Sequence[str],
     out: Path,
+    kept: Kept,
+    settings: Mapping[str, str],
     *,
+    jobs: int = 1,
     quiet: bool = False,
     name: str = "up",
 ) -> list[Path]:
-    """Run the sessions one after the other, each by its own command (`telenano up`); return their folders.
+    """Run the sessions that are not done yet, each by its own command (`telenano up`); return the folders of all.
 
     Raises:
-        RigError: A session failed; the message names the session and quotes its report.
+        RigError: A session failed; the message names it and quotes its report. No further one is begun then, and what
+            is done stays.
     """
-    folders = []
-    for number, point in enumerate(points, start=1):
-        if not quiet:
-            typer.echo(f"{number}/{len(points)}: {point.name}", err=True)
-        folder = out / point.name
-        command = [sys.executable, "-m", "telenano", name, *arguments, *point.options, "--out", str(folder), "--json"]
-        # An incomplete recording is no failure: its summary says so, and the table shows a hold without data.
+    own = [sys.executable, "-m", "telenano", name, *arguments]
+    commands: dict[str, list[str]] = {}
+    for point in points:
+        if not kept.is_done(point.name, settings[point.name]):
+            again = ["--overwrite"] if kept.is_partial(point.name) and "--overwrite" not in arguments else []
+            commands[point.name] = [*own, *point.options, *again, "--out", str(out / point.name), "--json"]
+    if not quiet and len(commands) < len(points):
+        say(f"{len(points) - len(commands)} of {len(points)} sessions are done already")
+
+    def note(session: str, done: bool) -> None:
+        kept.note(session, settings[session], done=done)
+
+    # An incomplete recording is no failure: its summary says so, and the table shows a hold without data.
+    run_children(commands, jobs, note, what="session", quiet=quiet)
+    return [out / point.name for point in points]
+
+
+def run_children(
+    commands: Mapping[str, Sequence[str]],
+    jobs: int,
+    note: Callable[[str, bool], None] = lambda name, done: None,
+    *,
+    what: str,
+    quiet: bool,
+) -> dict[str, dict[str, Any]]:
+    """Run commands that print a summary with `--json`, some at a time, and return the summaries by name.
+
+    Ctrl-C and SIGTERM end the running ones in order. After a failure no further one is begun.
+
+    Args:
+        commands: The commands by the name of what each works on.
+        jobs: The number of them at a time.
+        note: Called with a name, and False at the begin of its command or True at its end.
+        what: A word for what each works on, in the progress and in errors.
+        quiet: Whether to show no progress.
+
+    Raises:
+        RigError: One or more failed; the message names each and quotes its report.
+    """
+    done: dict[str, dict[str, Any]] = {}
+    failed: list[str] = []
+    ending = threading.Event()
+
+    def look(spent_s: float) -> None:
+        if ending.is_set():
+            raise interrupts.Interrupted
+
+    def run(name: str) -> None:
+        if ending.is_set() or failed:
+            return
+        note(name, False)
         try:
-            run_session(command)
+            done[name] = run_session(commands[name], progress=look)
         except RigError as error:
-            raise RigError(f"the session {point.name} failed: {error}") from error
-        folders.append(folder)
-    return folders
+            failed.append(f"the {what} {name} failed: {error}")
+            return
+        note(name, True)
+
+    with (
+        progress(f"{what}s", len(commands), shown=not quiet, counted=True) as show,
+        ThreadPoolExecutor(max(1, min(jobs, len(commands)))) as pool,
+    ):
+        futures = [pool.submit(run, name) for name in commands]
+        try:
+            for future in as_completed(futures):
+                future.result()
+                show(len(done))
+        except BaseException:
+            ending.set()
+            for future in futures:
+                future.cancel()
+            if not quiet:
+                say(f"{len(done)} of {len(commands)} {what}s are done and kept; the same command goes on in its --out")
+            raise
+    if failed:
+        raise RigError("\n".join(failed))
+    return done

@@ -9,7 +9,6 @@ import math
 import warnings
 from collections.abc import Callable, Mapping
 from functools import cached_property
-from numbers import Real
 from os import PathLike
 from typing import Any
 
@@ -42,10 +41,10 @@ from telenano.sections.controller_section import ControllerConfig
 from telenano.sections.hand_section import HapticConfig
 from telenano.settings.afm_disturbances import instrument_name
 from telenano.settings.config import merge, nested, read_yaml
-from telenano.settings.included import find_scenario
+from telenano.settings.included import find_scenario, name_of_scenario
 from telenano.settings.link_settings import EVEN, LinkSettings
-from telenano.settings.scenario import LoadedScenario
-from telenano.wire.errors import ConfigError, known_names
+from telenano.settings.scenario import SEEDS, LoadedScenario
+from telenano.wire.errors import ConfigError, LockstepError, known_names
 
 _RENAMED = {"operator_force_n": "hand_force_n"}
 # Further columns if the hand also moves the tip across the sample: column of the rows, unit, and text.
@@ -138,6 +137,7 @@ class SimulatedSession(Session):
 
         Raises:
             ConfigError: The scenario cannot be simulated; the message names `origin` and the key at fault.
+            LockstepError: The nodes can run it, but a lockstep has no model of a part of it.
         """
         from telenano.analysis.recorded_session import planned_holds
 
@@ -147,26 +147,24 @@ class SimulatedSession(Session):
         afm = loaded.section("afm_node", AfmConfig)
         link = loaded.section("delay_node", LinkSettings)
         drivers = (
-            ("haptic_node", haptic.driver, haptic.in_lockstep),
-            ("afm_node", afm.driver, afm.driver == "simulated"),
+            ("haptic_node", haptic.driver, haptic.in_lockstep, haptic.simulated),
+            ("afm_node", afm.driver, afm.driver == "simulated", afm.simulated),
         )
-        for section, driver, has_model in drivers:
+        for section, driver, has_model, is_simulated in drivers:
+            if not is_simulated:
+                raise ConfigError(f"{origin}: {section}.driver: {driver} drives a real device; only `up` can run it")
             if not has_model:
-                raise ConfigError(
-                    f"{origin}: {section}.driver: {driver} has no model to simulate; only `up` can run it"
-                )
+                raise LockstepError(f"{origin}: {section}.driver: a lockstep has no model of {driver}")
         if afm.model != "quasi_static":
-            raise ConfigError(
+            raise LockstepError(
                 f"{origin}: afm_node.model: {afm.model} runs on the bus only; a lockstep has quasi_static"
             )
         if haptic.operator.kind == "interactive":
-            text = "interactive is a person, who cannot be simulated: give another operator"
-            raise ConfigError(f"{origin}: haptic_node.operator.kind: {text}")
+            text = "interactive is a person, of whom a lockstep has no model: another operator presses"
+            raise LockstepError(f"{origin}: haptic_node.operator.kind: {text}")
         if afm.begin is not None:
-            text = (
-                f"{afm.begin.program} moves the tip by a program of the instrument, which simulated time does not have"
-            )
-            raise ConfigError(f"{origin}: afm_node.begin: {text}; run it with `telenano up`")
+            text = f"{afm.begin.program} moves the tip by a program of the instrument, which a lockstep does not have"
+            raise LockstepError(f"{origin}: afm_node.begin: {text}")
         trip_s = link.forward.delay_s + link.backward.delay_s
         period_s = controller.period_s
         reference_m = controller.law_config().position_scale * haptic.device.start_position_m
@@ -328,6 +326,7 @@ def simulate_scenario(
     operator: Mapping[str, object] | None = None,
     duration_s: float | None = None,
     settings: Mapping[str, object] | None = None,
+    seed: int | None = None,
 ) -> SimulatedSession:
     """Run a scenario in lockstep, without processes.
 
@@ -343,12 +342,12 @@ def simulate_scenario(
         operator: The hand, as the section `haptic_node.operator`.
         duration_s: The length of the session [s].
         settings: Values by dotted key of the scenario, such as {"controller.virtual_impedance.force_gain": 10}.
+        seed: The seed of all that is random; None leaves those of the scenario as they are.
 
     Raises:
         ConfigError: Names the file or key at fault, or what cannot be simulated.
+        LockstepError: The nodes can run it, but a lockstep has no model of a part of it.
     """
-    if round_trip_ms is not None and (isinstance(round_trip_ms, bool) or not isinstance(round_trip_ms, Real)):
-        raise ConfigError(f"round_trip_ms: must be a number of milliseconds, got {round_trip_ms!r}")
     overrides: dict[str, Any] = {}
     if law is not None:
         overrides["controller"] = {"law": law}
@@ -362,15 +361,12 @@ def simulate_scenario(
     if duration_s is not None:
         overrides["duration_s"] = duration_s
     path = find_scenario(scenario)
-    document = merge(read_yaml(path), nested(dict(settings or {}), "settings"), overrides)
+    seeds = {} if seed is None else nested(dict.fromkeys(SEEDS, seed), "seed")
+    document = merge(read_yaml(path), seeds, nested(dict(settings or {}), "settings"), overrides)
     if operator is not None:
         # Replace the scenario's operator as a whole, and not key by key, because its kind may be another one.
         document["haptic_node"] = {**document.get("haptic_node", {}), "operator": dict(operator)}
-    return SimulatedSession.of(document, str(path))
-
-
-# The name under which users call it, for Python's error messages.
-simulate_scenario.__qualname__ = "telenano.simulate"
+    return SimulatedSession.of(document, name_of_scenario(path))
 
 
 def compile_scenario(scenario: str, law: str) -> None:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from telenano.recording.provenance import versions as versions
     from telenano.recording.quantities import quantity as quantity
     from telenano.recording.reader import Recording as Recording
+    from telenano.recording.recorded_time import RecordedTime as RecordedTime
+    from telenano.recording.recorded_time import span_of as span_of
     from telenano.recording.rewrite import CopyResult as CopyResult
     from telenano.recording.rewrite import filter_recording as filter_recording
     from telenano.recording.session_folder import SessionFolder as SessionFolder

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol, TypeVar
 
+from telenano.recording.recorded_time import RecordedTime
 from telenano.wire.errors import ConfigError, RecordingError, known_names
 from telenano.wire.nodes import name_of
 from telenano.wire.patterns import fault_of_pattern, matches
@@ -97,7 +98,11 @@ class Selection:
 
 
 def some_of(
-    source: Path, messages: Iterator[M], span_ns: tuple[int, int], start_s: float, end_s: float | None
+    source: Path,
+    messages: Iterator[M],
+    span_ns: tuple[int, int],
+    start: float | RecordedTime | None,
+    end: float | RecordedTime | None,
 ) -> Iterator[M]:
     """Yield the messages of a choice of channels and times; RecordingError, which says how long it is, for none.
 
@@ -105,18 +110,23 @@ def some_of(
         source: The recording.
         messages: The messages that were chosen.
         span_ns: First and last time of reception in the recording [ns].
-        start_s: Begin of the chosen times, from the start of the recording [s].
-        end_s: Their end [s]; None for that of the recording.
+        start: Begin of the chosen times; None for that of the recording.
+        end: Their end; None for that of the recording.
     """
     first = next(messages, None)
     if first is None:
         lasts_s = (span_ns[1] - span_ns[0]) * 1e-9
-        until = "on" if end_s is None else f"to {end_s:g} s"
+        until = "on" if end is None else f"to {_told_time(end)}"
         raise RecordingError(
-            f"{source}: lasts {lasts_s:.3f} s, and has nothing of this choice from {start_s:g} s {until}"
+            f"{source}: lasts {lasts_s:.3f} s, from {span_ns[0]} to {span_ns[1]} ns of the epoch, and has nothing of "
+            f"this choice from {_told_time(start)} {until}"
         )
     yield first
     yield from messages
+
+
+def _told_time(time: float | RecordedTime | None) -> str:
+    return "its start" if time is None else f"{time:g} s" if isinstance(time, float) else str(time)
 
 
 def _told(asked: str, there_are: Collection[str]) -> str:

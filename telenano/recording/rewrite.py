@@ -3,6 +3,7 @@
 import contextlib
 import errno
 import heapq
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, Self
@@ -15,6 +16,7 @@ from telenano.recording.mcap_messages import MessageWriter
 from telenano.recording.mcap_scan import Damage, describe_damage
 from telenano.recording.messages import RawChannel, RawMessage
 from telenano.recording.reader import Recording
+from telenano.recording.recorded_time import RecordedTime, span_of
 from telenano.recording.session_identity import one_session
 from telenano.wire.errors import ConfigError, ExistsError, RecordingError
 
@@ -154,9 +156,15 @@ class CopyWriter:
 
 
 def filter_recording(
-    source: Path, target: Path, selection: Selection = ALL, start_s: float = 0.0, end_s: float | None = None
+    source: Path,
+    target: Path,
+    selection: Selection = ALL,
+    start_s: float | RecordedTime | None = None,
+    end_s: float | RecordedTime | None = None,
 ) -> CopyResult:
-    """Copy the selected channels from `start_s` to `end_s` (excluded) after the start of the recording [s].
+    """Copy the selected channels from a time of reception to another one, which is excluded.
+
+    A number is a time from the start of the recording [s].
 
     A damaged file is read as far as possible, so a copy of everything recovers it.
 
@@ -167,18 +175,33 @@ def filter_recording(
     recording = Recording(source)
     selection.demand_some_of(source, recording.channels)
     skipped = list(recording.structural_damage)
-    first_ns = recording.span_ns[0] + round(start_s * 1e9)
-    after_ns = None if end_s is None else recording.span_ns[0] + round(end_s * 1e9)
+    first_ns, after_ns = span_of(recording.span_ns[0], start_s, end_s)
     wanted = _cached(selection)
     chosen: Iterator[RawMessage] = (
         message
         for message in recording.raw(skipped.append)
         if message.log_ns >= first_ns and (after_ns is None or message.log_ns < after_ns) and wanted(message.channel)
     )
-    if (selection, start_s, end_s) != (ALL, 0.0, None):
+    if (selection, start_s, end_s) != (ALL, None, None):
         # A copy of everything may be of an empty recording.
         chosen = some_of(source, chosen, recording.span_ns, start_s, end_s)
     return CopyResult.of(target, [recording], chosen, skipped)
+
+
+@contextlib.contextmanager
+def part_of(source: Path, start: RecordedTime | None, end: RecordedTime | None) -> Iterator[Path]:
+    """Yield a recording with the messages of a part of another one, which is removed afterwards; without times itself.
+
+    Raises:
+        RecordingError: The source is not a recording, or has nothing in the part.
+    """
+    if start is None and end is None:
+        yield source
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        part = Path(folder) / source.name
+        filter_recording(source, part, ALL, start, end)
+        yield part
 
 
 def merge_recordings(sources: Sequence[Path], target: Path, *, same_session: bool = False) -> CopyResult:

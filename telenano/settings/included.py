@@ -32,6 +32,11 @@ def known_scenarios() -> list[str]:
     return sorted(scenarios())
 
 
+def name_of_scenario(path: Path) -> str:
+    """Return what an error calls a scenario: its name if it comes with the project, otherwise its path."""
+    return path.stem if path.parent == SCENARIO_DIRECTORY else str(path)
+
+
 def find_scenario(name: str | os.PathLike[str]) -> Path:
     """Return the file of a scenario named or given as a path; ConfigError lists the names known."""
     if not isinstance(name, str | os.PathLike):

@@ -9,11 +9,14 @@ from typing import Annotated, Any, Literal, Self, TypeGuard, TypeVar
 from pydantic import BaseModel, Field, model_validator
 
 from telenano.settings.config import Settings, layered, parse_yaml, validate
+from telenano.settings.included import name_of_scenario
 from telenano.settings.named_instruments import IDEAL, on_instrument
 from telenano.settings.plugins import name_of_ending
 from telenano.wire.errors import RecordingError
 
 M = TypeVar("M", bound=BaseModel)
+# The keys that the seed of a session sets: those of the link and of all disturbances.
+SEEDS = ("delay_node.seed", "haptic_node.disturbances.seed", "afm_node.disturbances.seed")
 
 
 class RealtimeConfig(Settings):
@@ -205,6 +208,7 @@ def scenario_document(path: Path, flags: Sequence[str] = ()) -> tuple[dict[str, 
     `haptic_node.device=NAME` is read as the driver of that name: the section describes the simulated device alone.
     """
     document, origin = layered(path, flags)
+    origin = origin.replace(str(path), name_of_scenario(path), 1)
     hand = document.get("haptic_node")
     if isinstance(hand, dict) and isinstance(hand.get("device"), str):
         hand = {**hand, "driver": hand["device"]}

@@ -16,11 +16,10 @@ from telenano.recording.session_folder import SessionFolder
 from telenano.runtime.loop.commands import Command, CommandName
 from telenano.settings.included import TWO_SITES_FILE
 from telenano.settings.option import Option
+from telenano.settings.scenario import SEEDS
 from telenano.virtual.session import FAR_FOLDER, SimulatedRig, TimedCommand, absence_of
 from telenano.wire.errors import ConfigError, known_names
 
-# keys of the scenario that `--seed` and `--sweep seed=` set as well
-SEEDS = ("delay_node.seed", "haptic_node.disturbances.seed", "afm_node.disturbances.seed")
 _NAMES: tuple[str, ...] = CommandName.__args__  # type: ignore[attr-defined]
 
 

@@ -8,19 +8,24 @@ The first call returns only the series of the session; the second also makes a r
 
 import inspect
 import json
+import math
 import os
 import re
+import warnings
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import nullcontext
+from datetime import datetime
 from functools import wraps
+from numbers import Integral, Real
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, overload
 
 from telenano.settings.config import nested
-from telenano.wire.errors import ConfigError, RigError, named_by, probably_meant
+from telenano.wire.errors import ConfigError, LockstepError, RigError, named_by, probably_meant
 
 if TYPE_CHECKING:
+    from telenano.analysis.session import Session
     from telenano.api import RecordedSession
-    from telenano.lockstep.simulation import SimulatedSession
 
 
 Given = ParamSpec("Given")
@@ -40,9 +45,7 @@ def _says_what_is_meant(function: Callable[Given, Result]) -> Callable[Given, Re
 
     @wraps(function)
     def called(*args: Given.args, **given: Given.kwargs) -> Result:
-        for name in given:
-            if name not in signature.parameters:
-                raise TypeError(f"telenano.simulate: {_wrong_argument(name, given[name], _abouts(function))}")
+        check_arguments(given)
         positional = [one.name for one in signature.parameters.values() if one.kind is one.POSITIONAL_OR_KEYWORD]
         if len(args) > len(positional):
             raise TypeError(
@@ -83,7 +86,9 @@ def simulate(
     duration_s: float | None = ...,
     settings: Mapping[str, object] | None = ...,
     recording: None = None,
-) -> "SimulatedSession": ...
+    seed: int | None = ...,
+    report: bool = ...,
+) -> "Session": ...
 
 
 @overload
@@ -117,11 +122,13 @@ def simulate(
     recording: str | os.PathLike[str] | None = None,
     seed: int | None = None,
     report: bool = True,
-) -> "SimulatedSession | RecordedSession":
-    """Run a scenario without processes: in lockstep, or with a recording by the real nodes in virtual time.
+) -> "Session":
+    """Run a scenario without a rig: in lockstep, or with a recording by the real nodes in virtual time.
 
     In lockstep it runs as plain Python, a second for the eight of Fig. 12. A loop of some twenty such calls compiles
-    the models, which takes some ten seconds, is said, and is kept for later processes (docs/api.md).
+    the models, which takes some ten seconds, is said, and is kept for later processes (docs/api.md). A scenario that a
+    lockstep has no model for, such as one whose tip is moved by a program, is run as with `recording`, in a new folder
+    sessions/NAME-DATE-TIME; a warning says so.
 
     With `recording` it runs the nodes of both sites, the link and the recorder on a bus in memory, and returns the
     recording, which is the same to the bit for the same seed, on any processor.
@@ -136,11 +143,11 @@ def simulate(
         duration_s: The length of the session [s].
         settings: Values by dotted key of the scenario, such as {"controller.virtual_impedance.force_gain": 10}.
         recording: The folder for session.mcap, figure and summary, which must not hold a session; None records nothing.
-        seed: The seed of all that is random in a recorded session; None leaves those of the scenario as they are.
+        seed: The seed of all that is random in the session; None leaves those of the scenario as they are.
         report: Whether figure and summary are written beside the recording.
 
     Returns:
-        The session in lockstep, or the recording.
+        The `SimulatedSession` in lockstep, or the `RecordedSession`; both are a `Session`.
 
     Raises:
         ConfigError: Names the file or key at fault, or what cannot be simulated.
@@ -150,41 +157,55 @@ def simulate(
         raise ConfigError(
             f"settings is a {type(settings).__name__}: give values by dotted key, {{'controller.law': 'wave'}}"
         )
+    for name, number in (("round_trip_ms", round_trip_ms), ("duration_s", duration_s)):
+        is_number = isinstance(number, Real) and not isinstance(number, bool)
+        if number is not None and not (is_number and math.isfinite(number)):
+            unit = "milliseconds" if name.endswith("_ms") else "seconds"
+            raise ConfigError(f"{name}: must be a number of {unit}, got {number!r}")
+    if seed is not None and not (isinstance(seed, Integral) and 0 <= seed < 2**31):
+        raise ConfigError(f"seed: must be a whole number from 0 to {2**31 - 1}, got {seed!r}")
+    refused = None
     if recording is None:
-        if seed is not None:
-            raise ConfigError("seed: a session in lockstep has those of its scenario: give `recording` as well")
         from telenano.lockstep.simulation import simulate_scenario
 
-        return simulate_scenario(
-            scenario,
-            law=law,
-            round_trip_ms=round_trip_ms,
-            environment=environment,
-            instrument=instrument,
-            operator=operator,
-            duration_s=duration_s,
-            settings=settings,
-        )
+        try:
+            return simulate_scenario(
+                scenario,
+                law=law,
+                round_trip_ms=round_trip_ms,
+                environment=environment,
+                instrument=instrument,
+                operator=operator,
+                duration_s=duration_s,
+                settings=settings,
+                seed=seed,
+            )
+        except LockstepError as error:
+            refused = error
     # Imported here, because a session in lockstep needs neither these modules nor their requirements.
     from telenano.api import RecordedSession
-    from telenano.launcher.run import report_of
+    from telenano.launcher.run import report_of, reserved_folder
     from telenano.virtual.request import SimulateRequest, plan_of, run_plan
 
     flags = [f"controller.law={law}"] if law is not None else []
     flags += [f"afm_node.environment={environment}"] if environment is not None else []
     flags += [f"haptic_node.operator={json.dumps(dict(operator))}"] if operator is not None else []
     flags += list(_flags(nested(dict(settings or {}), "settings")))
-    request = SimulateRequest(
-        scenario=os.fspath(scenario),
-        instrument=instrument,
-        round_trip_ms=round_trip_ms,
-        duration_s=duration_s,
-        out=Path(recording),
-        settings=tuple(flags),
-        seed=seed,
-    )
-    plan = plan_of(request, Path(recording))
-    outcome = run_plan(plan, request)
+    folder = nullcontext(Path(recording)) if recording else reserved_folder(os.fspath(scenario), datetime.now())
+    with folder as out:
+        request = SimulateRequest(
+            scenario=os.fspath(scenario),
+            instrument=instrument,
+            round_trip_ms=None if round_trip_ms is None else float(round_trip_ms),
+            duration_s=None if duration_s is None else float(duration_s),
+            out=out,
+            settings=tuple(flags),
+            seed=None if seed is None else int(seed),
+        )
+        plan = plan_of(request, out)
+        if refused is not None:
+            warnings.warn(f"{refused}; the nodes run it in virtual time instead, and record {out}", stacklevel=3)
+        outcome = run_plan(plan, request)
     if outcome.failure or not outcome.recordings:
         raise RigError(outcome.failure or "; ".join(outcome.missing) or "the session left no recording")
     if report:
@@ -192,7 +213,12 @@ def simulate(
     return RecordedSession(outcome.recordings)
 
 
-simulate.__qualname__ = "telenano.simulate"
+def check_arguments(given: Mapping[str, object]) -> None:
+    """Raise TypeError, with the name that was probably meant, for the first of some names that `simulate` lacks."""
+    abouts = _abouts(simulate)
+    for name, value in given.items():
+        if name not in abouts:
+            raise TypeError(f"telenano.simulate: {_wrong_argument(name, value, abouts)}")
 
 
 def _flags(tree: Mapping[str, Any], stem: str = "") -> Iterator[str]:

@@ -62,6 +62,10 @@ class TelenanoError(Exception):
     def __str__(self) -> str:
         return "\n".join(self.lines)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # An error crosses from the processes of a pool, whatever the arguments of its class are.
+        return _again, (type(self), self.args, self.__dict__)
+
     @property
     def lines(self) -> tuple[str, ...]:
         """The lines of the text as they are printed."""
@@ -71,6 +75,12 @@ class TelenanoError(Exception):
     def facts(self) -> dict[str, Any]:
         """What a program reads beside the text, as plain data by key."""
         return {}
+
+
+def _again(kind: type[TelenanoError], lines: tuple[Any, ...], facts: dict[str, Any]) -> TelenanoError:
+    error = kind.__new__(kind, *lines)
+    error.__dict__.update(facts)
+    return error
 
 
 def described(error: BaseException) -> str:
@@ -100,6 +110,14 @@ def cause(error: BaseException) -> str:
 
 class ConfigError(TelenanoError):
     """A configuration, scenario or site file is missing or wrong; the text names file and key."""
+
+
+class LockstepError(ConfigError):
+    """A scenario has a part of which a session in lockstep has no model; the nodes can run it."""
+
+
+class NoEstimateError(ConfigError):
+    """A measurement does not tell the value that was asked for; the text says why, and what would tell it."""
 
 
 class EndpointError(TelenanoError):

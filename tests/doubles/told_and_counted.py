@@ -6,7 +6,8 @@ It reads files with the plain libraries `mcap` and `msgpack`, and with nothing o
 
 - The numbers that a channel lacks are those that `recorder/gap` names. They are counted for each process (`run`) of the
   publisher, up to the count that it, or the link that carried it, announced at its end. They begin at 0 if an earlier
-  process is in the file, except of consoles and emergency stops, which repeat a command until it is answered.
+  process is in the file, except of consoles and emergency stops, which repeat a command until it is answered. Of a
+  process of which only the end was heard, all that it announced is lacking.
 - Number and stamp of a record are those of its message, and the stamps of a process do not go back.
 - Every command that was answered is in the file, or its answer repeats it.
 """
@@ -55,8 +56,8 @@ class Process:
         self.seen: dict[int, tuple[int, int]] = {}
         self.newest = -1
         self.ended = False
-        # One more than the last number that is known to have been sent.
-        self.sent = 0
+        # One more than the last number that is known to have been sent, and when that was told [ns].
+        self.sent = self.told_ns = 0
 
     def add(self, seq: int, log_ns: int, t_ns: int) -> None:
         self.seen.setdefault(seq, (log_ns, t_ns))
@@ -64,12 +65,15 @@ class Process:
 
     @property
     def is_live(self) -> bool:
-        log_ns, t_ns = next(iter(self.seen.values()))
-        return abs(log_ns - t_ns) < LIVE_NS
+        return all(abs(log_ns - t_ns) < LIVE_NS for log_ns, t_ns in list(self.seen.values())[:1])
 
     def lacking(self, *, head: bool) -> Iterator[tuple[Range, int]]:
         """Yield the ranges of numbers that are missing, each with the time at which that was noticed [ns]."""
         numbers = sorted(self.seen)
+        if not numbers:
+            if self.sent:
+                yield (0, self.sent - 1), self.told_ns
+            return
         if head and numbers[0] > 0:
             yield (0, numbers[0] - 1), self.seen[numbers[0]][0]
         for before, after in pairwise(numbers):
@@ -89,8 +93,8 @@ class Stream:
 
     @property
     def first(self) -> int:
-        """The least number of its first process."""
-        return min(next(iter(self.processes.values())).seen)
+        """The least number of its first process; 0 if only the end of that was heard."""
+        return min(next(iter(self.processes.values())).seen, default=0)
 
     @property
     def present(self) -> Process | None:
@@ -106,11 +110,13 @@ class Stream:
             self._present = -1 - len(self.processes)
         self.processes.setdefault(self._present, Process()).add(seq, one.log_ns, t_ns)
 
-    def end(self, run: int | None, sent: int, *, own: bool) -> None:
+    def end(self, run: int | None, sent: int, told_ns: int, *, own: bool) -> None:
         """Note that the present process, or that of a `run`, has sent a count of messages; `own`: and has ended."""
-        process = self.present if run is None else self.processes.get(run)
+        if run is not None and run not in self.processes:
+            self._present, self.processes[run] = run, Process()
+        process = self.present if run is None else self.processes[run]
         if process is not None and not process.ended:
-            process.sent, process.ended = max(process.sent, sent), own
+            process.sent, process.ended, process.told_ns = max(process.sent, sent), own, told_ns
 
     def lacking(self) -> list[tuple[Range, int]]:
         return [
@@ -162,7 +168,7 @@ class Account:
             for place, run, count in _sent(one, site):
                 if place in self.streams:
                     own = place[1] == src
-                    self.streams[place].end(run if own else None, count, own=own)
+                    self.streams[place].end(run if own else None, count, one.log_ns, own=own)
 
 
 def lacking(*paths: Path) -> dict[tuple[str, str], int]:

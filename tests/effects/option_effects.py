@@ -452,7 +452,7 @@ REFUSES: Mapping[str, str] = {
 WITHOUT: Mapping[str, str] = {
     "--out": "is where the files are",
     "--same-session": "acts on several files; tests/unit/recording/test_session_identity.py",
-    "--workers": "is how many processes compute; the result is the same",
+    "--jobs": "is how many processes compute; the result is the same",
     "--scheduler": "needs a cluster; the tests of the package of studies",
     "compare --published": "is a file of a published curve; packages/telenano-lab",
     "--live": "needs a running rig; tests/stack/test_live_programs.py",

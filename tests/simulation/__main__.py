@@ -4,9 +4,10 @@
     python -m tests.simulation --replay failure.json
     python -m tests.simulation --seed 7 --planted
 
-The first prints the tables of invariants and situations, reduces each failure, writes it to a file, and prints the
-command that repeats it. `--replay` runs one schedule, and prints the broken invariants and a digest of all messages
-sent and recorded. `--planted` plants one fault after the other, and prints the number of schedules that found each.
+The first writes each failure to a file, prints the tables of invariants and situations, reduces the failures, and
+prints the command that repeats each. SIGINT or SIGTERM ends it with its tables at any time. `--replay` runs one
+schedule, and prints the broken invariants and a digest of all messages sent and recorded. `--planted` plants one fault
+after the other, and prints the number of schedules that found each.
 """
 
 import argparse
@@ -21,13 +22,14 @@ sys.path.insert(0, str(Path(__file__).parent))
 sys.path.append(str(Path(__file__).parents[1] / "doubles"))
 
 import campaign
-from fault_schedule import Schedule
+from fault_schedule import PROCESSES, Schedule
 from planted import PLANTED, Fault
 from reached import SITUATIONS
 from shrunk import shrunk
 
 from telenano.analysis import wilson
 from telenano.recording.reader import Recording
+from telenano.signals import interrupts
 
 
 def main() -> int:
@@ -38,15 +40,20 @@ def main() -> int:
     parser.add_argument("--replay", type=Path, help="run the schedule of this file once")
     parser.add_argument("--keep", type=Path, help="leave the files of the replayed session in this folder")
     parser.add_argument("--planted", nargs="*", metavar="NAME", help="plant faults, all or the named ones")
+    parser.add_argument("--processes", choices=PROCESSES, help="of the loop, in the place of those that are drawn")
     parser.add_argument("--most", type=int, default=40, help="give a planted fault up after so many schedules")
     parser.add_argument("--rounds", type=int, default=1, help="look for each planted fault from so many first seeds")
     parser.add_argument("--out", type=Path, default=Path("out/simulation"), help="the folder of shrunk failures")
     given = parser.parse_args()
+    interrupts.handle()
     if given.replay:
         return _replay(given.replay, given.keep)
     if given.planted is not None:
-        return _plant(given.seed, given.planted or list(PLANTED), given.most, given.rounds)
-    return _campaign(given.seed, given.hours, given.out)
+        names = given.planted or list(PLANTED)
+        with contextlib.suppress(KeyboardInterrupt):
+            return _plant(given.seed, names, given.most, given.rounds, given.processes)
+        return interrupts.exit_code()
+    return _campaign(given.seed, given.hours, given.out, given.processes)
 
 
 def _replay(path: Path, keep: Path | None) -> int:
@@ -67,31 +74,36 @@ def _replay(path: Path, keep: Path | None) -> int:
     return bool(found)
 
 
-def _campaign(seed: int, hours: float, out: Path) -> int:
-    tally = campaign.Tally([])
+def _campaign(seed: int, hours: float, out: Path, processes: str | None) -> int:
+    print(f"schedules from the seed {seed}; SIGINT or SIGTERM ends them with their tables", flush=True)
+    tally, paths = campaign.Tally([]), dict[str, tuple[Path, Schedule]]()
+    is_whole = False
     with contextlib.suppress(KeyboardInterrupt):
-        for one in campaign.campaign(seed, hours):
+        for one in campaign.campaign(seed, hours, processes=processes):
             tally.schedules.append(one)
             for found in one.breaks:
                 print(f"seed {one.schedule.seed}: {found.invariant} at {found.at_s:.3f} s: {found.text}", flush=True)
-    failures = [one for one in tally.schedules if one.breaks]
+            if one.breaks:
+                out.mkdir(parents=True, exist_ok=True)
+                path = out / f"{one.breaks[0].invariant}-{one.schedule.seed}.json"
+                path.write_text(one.schedule.text(), encoding="utf-8")
+                paths.setdefault(one.breaks[0].invariant, (path, one.schedule))
+        is_whole = True
     print(f"\n{campaign.speed(tally)}\n")
     _print_table("invariant", campaign.INVARIANTS, tally, tally.broken(), "broken in")
     _print_table("situation", tuple(SITUATIONS), tally, tally.reached(), "reached in")
     rare = ", ".join(tally.rare()) or "none"
-    print(f"less than {campaign.OFTEN} times in {campaign.NIGHT_H:g} hours of processor time: {rare}\n")
-    seen = set()
-    for one in failures:
-        name = one.breaks[0].invariant
-        if name in seen:
-            continue
-        seen.add(name)
-        small = shrunk(one.schedule, lambda schedule, name=name: _breaks(schedule, name))  # type: ignore[misc]
-        out.mkdir(parents=True, exist_ok=True)
-        path = out / f"{name}-{one.schedule.seed}.json"
-        path.write_text(small.text(), encoding="utf-8")
-        print(f"{name}: {len(small.events)} events are enough: python -m tests.simulation --replay {path}")
-    return bool(failures)
+    print(f"less than {campaign.OFTEN} times in {campaign.NIGHT_H:g} hours of processor time: {rare}\n", flush=True)
+    for name, (path, schedule) in paths.items():
+        events = len(schedule.events)
+        with contextlib.suppress(KeyboardInterrupt):
+            # An ended campaign leaves its failures as they were drawn, because reducing one takes minutes.
+            if is_whole:
+                small = shrunk(schedule, lambda one, name=name: _breaks(one, name))  # type: ignore[misc]
+                path.write_text(small.text(), encoding="utf-8")
+                events = len(small.events)
+        print(f"{name}: {events} events: python -m tests.simulation --replay {path}", flush=True)
+    return bool(paths)
 
 
 def _breaks(schedule: Schedule, invariant: str) -> bool:
@@ -104,19 +116,21 @@ def _print_table(
     width, total = max(map(len, names)), len(tally.schedules)
     print(f"{head:{width}}  {what:>10}  {'in an hour':>10}  {'in a night':>10}  95 % interval of the share")
     for name in names:
-        low, high = wilson(counts[name], total)
+        low, high = wilson(counts[name], total) if total else (0.0, 1.0)
         hourly = counts[name] / max(tally.simulated_h, 1e-9)
         nightly = tally.nightly(counts[name])
         print(f"{name:{width}}  {counts[name]:>10}  {hourly:>10.1f}  {nightly:>10.0f}  {low:.4f} to {high:.4f}")
     print()
 
 
-def _plant(seed: int, names: list[str], most: int, rounds: int) -> int:
+def _plant(seed: int, names: list[str], most: int, rounds: int, processes: str | None) -> int:
     width, lost = max(map(len, names)), 0
     print(f"{'planted fault':{width}}  found in  median of schedules, simulated hours  broke")
     for name in names:
         found = [
-            one for turn in range(rounds) if (one := found_by(PLANTED[name], seed + 1000 * turn, most)) is not None
+            one
+            for turn in range(rounds)
+            if (one := found_by(PLANTED[name], seed + 1000 * turn, most, processes)) is not None
         ]
         lost += not found
         if not found:
@@ -131,12 +145,14 @@ def _plant(seed: int, names: list[str], most: int, rounds: int) -> int:
     return bool(lost)
 
 
-def found_by(fault: Fault, first_seed: int, most: int) -> tuple[int, float, set[str]] | None:
+def found_by(
+    fault: Fault, first_seed: int, most: int, processes: str | None = None
+) -> tuple[int, float, set[str]] | None:
     """Return the schedules and simulated hours that found a planted fault, and the broken invariants; None if not."""
     passed_s = 0.0
     with fault.planted():
         for number in range(most):
-            one = campaign.tried(Schedule.drawn(first_seed + number), reports=fault.is_of_report)
+            one = campaign.tried(Schedule.drawn(first_seed + number, processes), reports=fault.is_of_report)
             passed_s += one.simulated_s
             broken = {found.invariant for found in one.breaks}
             if broken & fault.breaks:

@@ -151,13 +151,17 @@ def campaign(
     hours: float,
     *,
     processor_s: float = math.inf,
+    processes: str | None = None,
 ) -> Iterator[Tried]:
-    """Yield the results of successive seeds until a number of simulated hours, or a processor time [s] if given."""
+    """Yield the results of successive seeds until a number of simulated hours, or a processor time [s] if given.
+
+    processes: those of the loop; those that each seed draws if none are given.
+    """
     simulated_s, begun_s = 0.0, time.process_time()
     for seed in itertools.count(first_seed):
         if simulated_s >= 3600.0 * hours or time.process_time() - begun_s >= processor_s:
             return
-        one = tried(Schedule.drawn(seed), reports=seed % REPORTED_EACH == 0)
+        one = tried(Schedule.drawn(seed, processes), reports=seed % REPORTED_EACH == 0)
         simulated_s += one.simulated_s
         yield one
 

@@ -19,8 +19,8 @@ POSITION_SCALE, FORCE_SCALE = 1.5e-6, 1e8
 # Differences that rounding explains [m, N].
 SAME_M, SAME_N = 1e-12, 1e-12
 MODES = ("off", "position", "force")
-# The message of a turn is sent within this time of the step [s].
-TURN_S = 0.0001
+# The message of a turn is sent within this time of the step, and not before this time after it [s].
+TURN_S, SENDING_S = 0.0001, 9.9e-6
 # Laws that lead the base by the place of the hand, and the way of a free base per way of the hand and scale.
 OF_PLACE, BY_PLACE = {"virtual_impedance", "position_force"}, (0.8, 1.25)
 # Least way of the hand at which the two are compared [m], and the greatest force of a tip that is free [N].
@@ -33,7 +33,8 @@ def _with_steps(states: list[Seen], steps: list[Any]) -> Iterator[tuple[Seen, An
     """Yield each recorded state with the step that it tells of, and the step before; None if that was of no process."""
     times = [one.at_s for one in steps]
     for state in states:
-        place = bisect_right(times, state.sent_s) - 1
+        # The next step may come before the message of this one, in a process that has the command for it.
+        place = bisect_right(times, state.sent_s - SENDING_S) - 1
         if place >= 0 and state.sent_s - times[place] <= TURN_S:
             step = steps[place]
             yield state, step, steps[place - 1] if step.again and place else None

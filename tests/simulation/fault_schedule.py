@@ -14,8 +14,9 @@ Each event is a mapping with `at_s`, the time since the processes were started [
 | clock | ahead_s, drift_ppm of the slave's site, from its first start on |
 | site_restart | ahead_s: the slave's processes are ended and started with a clock that was set meanwhile |
 | disk | site, fault (full, slow, gone), for_s |
-| kill | node; after: number of messages that its process still sends; torn: share of the data not flushed that \
-reaches the disk |
+| kill | node; how its process ends: killed, in order (ended), by an error in a turn (failed), or in order while \
+another one begins (replaced); after: number of messages that a killed one still sends; torn: share of the data not \
+flushed that reaches the disk |
 | stall | node, for_s |
 | device | device (hand, tip), fault (lost, late, repeating, range; of the tip also risen, a sample that rises), for_s |
 | press | site, target: an emergency stop |
@@ -48,6 +49,8 @@ RATES_HZ = (50.0, 100.0, 100.0, 250.0)
 # A law that promises nothing, and presses beyond the limit of the instrument at less than the greatest of these rates,
 # without any fault.
 FAST_LAW = "four_channel"
+# Processes of the loop: one for each node, or one for the nodes of a site.
+PROCESSES = ("node", "site")
 # Limits of the force on the tip [N]: that of the defaults, and one that a session with its overshoots keeps, but not a
 # sample that rises under the tip.
 FORCE_LIMITS_N = (200e-9, 60e-9)
@@ -60,6 +63,8 @@ CALM_SHARE = 0.1
 CALM_S = 0.7
 RECOVERY_S = 2.0
 SESSION_S = 8.5
+# Share of the sessions that end in order among the faults, so that what is away or late then is accounted for as well.
+ABRUPT_SHARE = 0.125
 
 
 class Schedule(NamedTuple):
@@ -67,7 +72,8 @@ class Schedule(NamedTuple):
 
     seed: seed of all delays on the sites; law: the law at the start; delay_s: delay of the network in each direction
     [s]; link_s: delay that the link adds in each direction [s]; events: the events in the order of time; rate_hz: the
-    rate of the loops [Hz]; force_limit_n: force on the tip above which its guard withdraws it [N].
+    rate of the loops [Hz]; force_limit_n: force on the tip above which its guard withdraws it [N]; processes: those of
+    the loop, one of `PROCESSES`; session_s: time from the start of the force profile to the end of the session [s].
     """
 
     seed: int
@@ -77,10 +83,12 @@ class Schedule(NamedTuple):
     events: tuple[Event, ...]
     rate_hz: float = 250.0
     force_limit_n: float = 200e-9
+    processes: str = "node"
+    session_s: float = SESSION_S
 
     @classmethod
-    def drawn(cls, seed: int) -> "Schedule":
-        """Return the random schedule of a seed."""
+    def drawn(cls, seed: int, processes: str | None = None) -> "Schedule":
+        """Return the random schedule of a seed, with these processes of the loop if they are given."""
         dice = random.Random(f"schedule {seed}")
         events: list[Event] = []
         if dice.random() < 0.4:
@@ -102,7 +110,8 @@ class Schedule(NamedTuple):
             # Over a long way only wave variables promise to go on, so that nothing could be judged at the end.
             ends_s = round(max(one["at_s"] + one.get("for_s", 0.0) for one in events), 4)
             events.append({"at_s": ends_s, "kind": "delay", "forward_s": 0.01, "backward_s": 0.01})
-        return cls(seed, law, delay_s, link_s, tuple(events), rate_hz, dice.choice(FORCE_LIMITS_N))
+        limit_n, drawn, session_s = dice.choice(FORCE_LIMITS_N), dice.choice(PROCESSES), _session_s(dice)
+        return cls(seed, law, delay_s, link_s, tuple(events), rate_hz, limit_n, processes or drawn, session_s)
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> "Schedule":
@@ -128,6 +137,11 @@ class Schedule(NamedTuple):
         """Time at which a person arms: `CALM_S` after the end of the last fault [s]."""
         ends = (one["at_s"] + one.get("for_s", 0.0) for one in self.events)
         return max([*ends, 1.0]) + CALM_S
+
+
+def _session_s(dice: random.Random) -> float:
+    """Draw the length of a session [s]: an eighth of them end among the faults."""
+    return round(dice.uniform(1.0, 5.0), 2) if dice.random() < ABRUPT_SHARE else SESSION_S
 
 
 def _law(dice: random.Random) -> str:
@@ -168,7 +182,7 @@ def _process(dice: random.Random, at_s: float) -> list[Event]:
     after = dice.choice([0, 0, 1, 2, 3])
     kill = {"at_s": at_s, "kind": "kill", "node": node, "after": after, "torn": dice.choice([0.0, 0.5, 1.0])}
     # A process may also end in order, or by an error in a turn, and announces that.
-    return [kill | {"how": dice.choice(["killed", "killed", "ended", "failed"])}]
+    return [kill | {"how": dice.choice(["killed", "killed", "ended", "failed", "replaced"])}]
 
 
 def _disk(dice: random.Random, at_s: float) -> list[Event]:

@@ -18,7 +18,7 @@ from typing import Any, ClassVar, NamedTuple
 from unittest import mock
 
 import msgpack
-from fault_schedule import HAND, LINK, RECOVERY_S, SESSION_S, TIP, Event, Schedule
+from fault_schedule import HAND, LINK, RECOVERY_S, TIP, Event, Schedule
 from faulty_devices import FaultyHand, FaultyTip
 from faulty_disk import FaultyDisk
 from faulty_network import Way
@@ -32,7 +32,7 @@ from telenano.runtime.loop.arming import ARM_HAND, ARM_TIP, PLACE_TIP, START
 from telenano.runtime.loop.commands import Command, CommandClient
 from telenano.runtime.loop.deadlines import PeriodicDeadline
 from telenano.runtime.loop.node import Node, NodeContext
-from telenano.runtime.loop.node_loop import NodeLoop
+from telenano.runtime.loop.node_loop import STARTING_PERIOD_NS, NodeLoop
 from telenano.runtime.wiring.main import EXIT_DIED
 from telenano.timing.clock import NEVER_NS, Clock, VirtualClock
 from telenano.virtual.bus import RecorderWay, VirtualBus
@@ -44,7 +44,7 @@ from telenano.virtual.wiring import VirtualWiring
 from telenano.wire import TOPICS, Message
 from telenano.wire.codec import encode, read_header
 from telenano.wire.messages import SessionControl, SessionEvent
-from telenano.wire.nodes import FAR_RECORDER, KEEPERS, LAUNCHER, RECORDER, is_meant, name_of, site_of
+from telenano.wire.nodes import FAR_RECORDER, KEEPERS, LAUNCHER, RECORDER, STOP_ORDER, is_meant, name_of, site_of
 from telenano.wire.received import Received
 
 # Messages of a turn have equal stamps, because the stamps of a real process never go back.
@@ -235,6 +235,8 @@ class FaultyRig(SimulatedRig):
         # Nodes that were started before, and by endpoint the time from which on a recorder hears it again [ns].
         self._begun: set[str] = set()
         self._connected_ns: dict[str, int] = {}
+        # The nodes of each process that has several, by each of them.
+        self._mates = {key: keys for keys in plan.joined.values() for key in keys}
         self._clock_event: Event = next((one for one in schedule.events if one["kind"] == "clock"), {})
         self._sets_clocks = any(one["kind"] in ("clock", "site_restart") for one in schedule.events)
         self._doomed: dict[str, int] = {}
@@ -283,6 +285,10 @@ class FaultyRig(SimulatedRig):
         usual = super().wiring(key, given)
         return _KeepingWiring(**{field.name: getattr(usual, field.name) for field in dataclasses.fields(usual)})
 
+    def mates(self, key: str) -> tuple[str, ...]:
+        """Return the nodes that share the process of a node, itself among them."""
+        return self._mates.get(key, (key,))
+
     def fault_of(self, device: str) -> str:
         """Return the present fault of a device; empty if there is none."""
         fault, until_s = self._faults.get(device, ("", 0.0))
@@ -320,7 +326,7 @@ class FaultyRig(SimulatedRig):
             yield event["at_s"], lambda event=event: self._happen(event)  # type: ignore[misc]
         calm_s = self.schedule.calm_s
         # A force profile continues, unless it or its process was stopped.
-        stopped = any(one["kind"] == "stop" or one.get("node") == HAND for one in self.schedule.events)
+        stopped = any(one["kind"] == "stop" or HAND in self.mates(one.get("node", "")) for one in self.schedule.events)
         again = (ARM_HAND, PLACE_TIP, *([START] if stopped else []))
         yield calm_s, lambda: self.people["console@master"].give(again, "recover")
         yield calm_s + RECOVERY_S, lambda: self.note("recovered")
@@ -367,16 +373,21 @@ class FaultyRig(SimulatedRig):
         self.faulty_disk.begin(event["site"], event["fault"], event["for_s"])
 
     def _on_kill(self, event: Event) -> None:
-        if event.get("how", "killed") != "killed":
-            self._end(event["node"], failed=event["how"] == "failed")
+        how = event.get("how", "killed")
+        if how == "replaced":
+            self._replace(event["node"])
+        elif how != "killed":
+            self._end(event["node"], failed=how == "failed")
         elif event["after"]:
             self._doomed[event["node"]] = event["after"]
         else:
             self._kill(event["node"], event["torn"])
 
     def _on_stall(self, event: Event) -> None:
+        for key in self.mates(event["node"]):
+            if key in self.loops:
+                self.note("stalled", node=key, for_s=event["for_s"])
         if event["node"] in self.loops:
-            self.note("stalled", node=event["node"], for_s=event["for_s"])
             self.stall(event["node"], event["for_s"])
 
     def _on_device(self, event: Event) -> None:
@@ -408,22 +419,23 @@ class FaultyRig(SimulatedRig):
         self.people["view@master"].give((Command("set", "delay_node", (LINK,), given),), "link")
 
     def stall(self, key: str, duration_s: float) -> None:
-        until_ns = self._stalled_until_ns.get(key, 0)
-        super().stall(key, duration_s)
-        self._stalled_until_ns[key] = max(self._stalled_until_ns[key], until_ns)
+        for mate in self.mates(key):
+            until_ns = self._stalled_until_ns.get(mate, 0)
+            super().stall(mate, duration_s)
+            self._stalled_until_ns[mate] = max(self._stalled_until_ns[mate], until_ns)
 
     def _stall_recorder(self, key: str, duration_s: float) -> None:
         if key in self.loops:
             self.stall(key, duration_s)
 
     def _kill(self, key: str, torn: float) -> None:
-        if key not in self.loops:
-            return
-        self.note("killed", node=key)
-        if name_of(key) == name_of(RECORDER):
-            self.faulty_disk.tear(site_of(key), torn)
-        self.leave(key)
-        self._processes.died(key, _KILLED)
+        for mate in self.mates(key) if key in self.loops else ():
+            self.note("killed", node=mate)
+            if name_of(mate) == name_of(RECORDER):
+                self.faulty_disk.tear(site_of(mate), torn)
+            self._doomed.pop(mate, None)
+            self.leave(mate)
+            self._processes.died(mate, _KILLED)
 
     def _end(self, key: str, *, failed: bool) -> None:
         """End a process in order, as a signal does, or by an error in one of its turns."""
@@ -432,7 +444,15 @@ class FaultyRig(SimulatedRig):
         if failed:
             self.loops[key].report_failure(RuntimeError("an error of the schedule"))
         self.end(key)
-        self._processes.died(key, EXIT_DIED if failed else 0)
+        for mate in self.mates(key):
+            self._processes.died(mate, EXIT_DIED if failed else 0)
+
+    def _replace(self, key: str) -> None:
+        """End a process in order and start another one at once, as who runs the processes does for a new version."""
+        if key in self.loops:
+            self.end(key)
+            self.start(key, starting_period_ns=STARTING_PERIOD_NS)
+            self.stall(key, self.draw(self.timing.start, "start", key) * 1e-9)
 
     def _hears(self, endpoint: str, sent_ns: int) -> bool:
         """Return whether recorders are connected to an endpoint; to one that came back, some time after it sends."""
@@ -441,14 +461,16 @@ class FaultyRig(SimulatedRig):
         return sent_ns >= self._connected_ns.get(endpoint, 0)
 
     def start(self, key: str, takes_ns: int = 0, **options: Any) -> Node:
-        """Start a process, with new endpoints."""
-        if key == LINK:
-            self._endpoints.pop(LINK_ENDPOINT, None)
-        if key in self._begun:
-            self._connected_ns |= dict.fromkeys((LINK, LINK_ENDPOINT) if key == LINK else (key,), NEVER_NS)
-        self._begun.add(key)
-        self.note("started", node=key)
-        return super().start(key, takes_ns, **options)
+        """Start the process of a node, with new endpoints, unless it runs for another node already."""
+        for mate in self.mates(key) if key not in self.loops else ():
+            if mate == LINK:
+                self._endpoints.pop(LINK_ENDPOINT, None)
+            if mate in self._begun:
+                self._connected_ns |= dict.fromkeys((LINK, LINK_ENDPOINT) if mate == LINK else (mate,), NEVER_NS)
+            self._begun.add(mate)
+            self.note("started", node=mate)
+            super().start(mate, takes_ns, **options)
+        return self.loops[key].node
 
     def turn(self, key: str, loop: NodeLoop) -> None:
         place = (key, self.clock.monotonic_ns())
@@ -460,11 +482,19 @@ class FaultyRig(SimulatedRig):
             super().turn(key, loop)
         except Killed:
             self._kill(key, 0.5)
+        else:
+            if key not in self.loops:
+                # A turn that has failed has ended the process, of which the engine knows this node alone.
+                for mate in self.mates(key):
+                    self._processes.died(mate)
 
     def end(self, key: str) -> None:
-        self._doomed.pop(key, None)
-        self.note("ended", node=key)
-        super().end(key)
+        """End the process of a node: each node of it, in the order in which a site ends them."""
+        for mate in sorted(self.mates(key), key=STOP_ORDER.index):
+            if mate in self.loops:
+                self._doomed.pop(mate, None)
+                self.note("ended", node=mate)
+                super().end(mate)
 
     def _due_ns(self, key: str) -> int:
         loop = self.loops[key]
@@ -525,6 +555,10 @@ class FaultyRig(SimulatedRig):
     def _deliver(
         self, sender: str, key: str, topic: str, payload: bytes, sent_ns: int, message: Message | None
     ) -> None:
+        if sender in self.mates(key):
+            # Within a process a message is handed over in memory.
+            self._put(key, topic, payload, message, sent_ns)
+            return
         if sender == LINK_ENDPOINT and site_of(key) == "slave":
             copies = self._fate[1]
         elif key == LINK and site_of(sender) == "slave" and name_of(sender) != name_of(LINK):
@@ -552,8 +586,8 @@ def scenario_of(schedule: Schedule) -> dict[str, Any]:
     return {
         "name": "faults",
         "description": "A hand presses the tip onto mica twice, while faults happen",
-        "duration_s": SESSION_S,
-        "realtime": {"rate_hz": schedule.rate_hz},
+        "duration_s": schedule.session_s,
+        "realtime": {"rate_hz": schedule.rate_hz, "processes": schedule.processes},
         "haptic_node": {"operator": {"kind": "force_profile", "points": points}},
         "controller": {"law": schedule.law},
         "afm_node": {"rest_distance_m": 10.0e-9, "safety": {"force_limit_n": schedule.force_limit_n}},

@@ -10,9 +10,11 @@ start [s].
 import sys
 from bisect import bisect_left, bisect_right
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
+from math import isfinite
 from pathlib import Path
+from typing import Any
 
 from device_judge import judge_chain, judge_forces, judge_places, judge_told
 from session_files import HAND, LATE_S, LINK, TIP, Break, Fields, Newest, Session
@@ -203,7 +205,7 @@ def judge_counters(session: Session) -> Iterator[Break]:
             continue
         for key, count in one.fields["data"].items():
             src, topic = one.fields["src"], key.removeprefix("sent.")
-            last = [seq for at_s, seq, _ in session.sent.get((src, topic), []) if at_s <= one.sent_s + 0.001][-1:]
+            last = [seq for at_s, seq, _ in session.sent.get((src, topic), []) if at_s <= one.sent_s][-1:]
             if last and count != last[0] + 1:
                 yield Break("counters_agree", one.sent_s, f"{src} says {count} on {topic}, and {last[0] + 1} were sent")
 
@@ -267,8 +269,18 @@ def judge_going_on(session: Session) -> Iterator[Break]:
             yield Break("goes_on", at_s, f"{device} is {mode} after all was armed again")
 
 
+def _each(value: Any) -> Sequence[Any]:
+    return value if isinstance(value, list) else (value,)
+
+
 def judge_bounds(session: Session) -> Iterator[Break]:
-    """Check: each quantity of a state is within its stated bound, and no place steps beyond its speed."""
+    """Check: each quantity of a state is within its stated bound and a number, and no place steps beyond its speed."""
+    for (_, topic), messages in session.direct.items():
+        if topic.partition("/")[0] in ("haptic", "afm", "teleop"):
+            for one in messages:
+                values = [(name, each) for name, value in one.fields.items() for each in _each(value)]
+                for name in [name for name, each in values if isinstance(each, float) and not isfinite(each)]:
+                    yield Break("within_bounds", one.sent_s, f"{name} of {topic} is no number")
     for one in session.direct[HAND, "haptic/state"]:
         said = one.fields
         places = {"position_m": said["position_m"][2], "reference_m": said["reference_m"][2]}

@@ -34,22 +34,23 @@ from telenano.runtime.loop import commands, kept_stop
 from telenano.runtime.loop.estop_latch import EstopLatch
 from telenano.timing.freshness import Freshness
 from telenano.virtual.bus import VirtualBus
+from telenano.wire.sequence import SequenceTracker
 
 Patch = contextlib.AbstractContextManager[Any]
 
 
 class Fault(NamedTuple):
-    """A planted fault: its effect, the invariants that it breaks, its patches, and the events that show it."""
+    """A planted fault: its effect, the invariants that it breaks, its patches, and events and law that show it."""
 
     about: str
     breaks: frozenset[str]
     patches: Callable[[], list[Patch]]
     events: tuple[Event, ...] = ()
+    law: str = "wave"
 
-    @property
-    def schedule(self) -> Schedule:
-        """A schedule that shows the fault, and breaks nothing without it."""
-        return Schedule(seed=1, law="wave", delay_s=0.02, link_s=0.0, events=self.events)
+    def schedule(self, processes: str) -> Schedule:
+        """Return a schedule that shows the fault with these processes, and breaks nothing without it."""
+        return Schedule(seed=1, law=self.law, delay_s=0.02, link_s=0.0, events=self.events, processes=processes)
 
     @property
     def is_of_report(self) -> bool:
@@ -65,8 +66,10 @@ class Fault(NamedTuple):
             yield
 
 
-def _fault(about: str, breaks: str, *patches: Callable[[], Patch], events: Sequence[Event] = ()) -> Fault:
-    return Fault(about, frozenset(breaks.split()), lambda: [patch() for patch in patches], tuple(events))
+def _fault(
+    about: str, breaks: str, *patches: Callable[[], Patch], events: Sequence[Event] = (), law: str = "wave"
+) -> Fault:
+    return Fault(about, frozenset(breaks.split()), lambda: [patch() for patch in patches], tuple(events), law)
 
 
 def _at(at_s: float, kind: str, **facts: Any) -> Event:
@@ -225,6 +228,13 @@ PLANTED: dict[str, Fault] = {
         _instead(tip_guard, "_next_base", _held_in_motion),
         events=[_at(0.95, "delay", forward_s=0.12, backward_s=0.01)],
     ),
+    "a resumption at full speed": _fault(
+        "the base goes at its full speed as soon as a hold is over",
+        "place_of_mode",
+        _instead(tip_guard, "_slower", lambda _: lambda params, state, mode, dt: 0.0),
+        events=[_at(0.92, "stall", node="controller@slave", for_s=0.12)],
+        law="virtual_impedance",
+    ),
     "a sign of the base": _fault(
         "the instrument goes the other way",
         "as_commanded goes_on praised_was_held law_not_blamed energy_granted",
@@ -355,6 +365,12 @@ PLANTED: dict[str, Fault] = {
             lambda facts: lambda *given: {**facts(*given), "missing": [], "complete": True},
         ),
         events=[_at(2.0, "kill", node="recorder@master", after=0, torn=0.0)],
+    ),
+    "a head that is no loss": _fault(
+        "what a new process sends before a recorder hears it is not counted",
+        "recorded_as_sent",
+        _instead(SequenceTracker, "_restart", lambda restart: lambda self, seq, run: restart(self, 0, run)),
+        events=[_at(2.0, "kill", node=TIP, after=0, torn=0.0, how="replaced")],
     ),
     "a silence taken for a loss": _fault(
         "a device that sent nothing for a while counts as one whose messages are missing",

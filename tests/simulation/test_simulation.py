@@ -3,6 +3,8 @@
 import datetime
 import json
 import os
+import re
+import signal
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -14,10 +16,12 @@ import msgpack
 import outside_judge
 import pytest
 from campaign import INVARIANTS, Tried, tried
-from fault_schedule import KINDS, LINK, RATES_HZ, TIP, Event, Schedule
+from fault_schedule import HAND, KINDS, LINK, PROCESSES, RATES_HZ, SESSION_S, TIP, Event, Schedule
 from planted import PLANTED
 from reached import SITUATIONS
 from shrunk import MOST_EVENTS, shrunk
+
+from telenano.signals import children
 
 HERE = Path(__file__).parent
 ROOT = HERE.parents[1]
@@ -63,6 +67,11 @@ def test_a_schedule_is_data_that_comes_from_its_seed() -> None:
     assert [Schedule.drawn(seed) for seed in range(300)] == drawn
     assert {event["kind"] for one in drawn for event in one.events} == KINDS
     assert {one.rate_hz for one in drawn} == set(RATES_HZ)
+    assert {one.processes for one in drawn} == set(PROCESSES)
+    assert min(one.session_s for one in drawn) < 2.0
+    assert max(one.session_s for one in drawn) == SESSION_S
+    ends = {(one["how"]) for each in drawn for one in each.events if one["kind"] == "kill" and "how" in one}
+    assert ends == {"killed", "ended", "failed", "replaced"}
 
 
 @pytest.mark.parametrize("document", [{}, {"seed": 1, "law": "wave", "delay_s": 0.0, "link_s": 0.0, "events": [{}]}])
@@ -119,26 +128,59 @@ def test_a_schedule_gives_the_same_bits_on_other_processors(tmp_path: Path) -> N
 
 @pytest.mark.check("takes 6 s, for the fault of the day")
 def test_the_planted_fault_of_the_day_is_found() -> None:
-    check_found(list(PLANTED)[SEED_OF_THE_DAY // 1000 % len(PLANTED)])
+    day = SEED_OF_THE_DAY // 1000
+    check_found(list(PLANTED)[day % len(PLANTED)], PROCESSES[day // len(PLANTED) % len(PROCESSES)])
 
 
 @pytest.mark.endurance
+@pytest.mark.parametrize("processes", PROCESSES)
 @pytest.mark.parametrize("name", PLANTED)
-def test_a_planted_fault_breaks_what_it_is_said_to_break_and_nothing_else(name: str) -> None:
-    check_found(name)
+def test_a_planted_fault_breaks_what_it_is_said_to_break_and_nothing_else(name: str, processes: str) -> None:
+    check_found(name, processes)
 
 
-def check_found(name: str) -> None:
+def check_found(name: str, processes: str) -> None:
     fault = PLANTED[name]
-    assert unexpected(tried(fault.schedule)) == []
+    schedule = fault.schedule(processes)
+    assert unexpected(tried(schedule)) == []
     with fault.planted():
-        broken = {found.invariant for found in tried(fault.schedule).breaks}
+        broken = {found.invariant for found in tried(schedule).breaks}
     assert broken & fault.breaks
     assert broken <= fault.breaks
 
 
 def test_every_invariant_has_a_planted_fault() -> None:
     assert {name for fault in PLANTED.values() for name in fault.breaks} == set(INVARIANTS)
+
+
+def _rows(page: Path, head: str) -> list[list[str]]:
+    """Return the cells of the rows of all tables of a page that have this first head."""
+    rows, inside = list[list[str]](), False
+    for line in page.read_text(encoding="utf-8").splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")] if line.startswith("|") else []
+        inside = bool(cells) and (inside or cells[0] == head)
+        if inside and cells[0] not in (head, "---"):
+            rows.append(cells)
+    return rows
+
+
+def test_every_hazard_is_an_invariant_or_says_why_it_is_none() -> None:
+    hazards = _rows(ROOT / "docs" / "hazards.md", "hazard")
+    told = _rows(HERE / "README.md", "hazard")
+    assert [row[0] for row in told] == [row[0] for row in hazards]
+    files = {path.name for folder in ("tests", "packages") for path in (ROOT / folder).rglob("test_*.py")}
+    for hazard, reason in told:
+        named, _, why = reason.partition(";") if reason.startswith("`") else ("", "", reason)
+        assert set(re.findall(r"`(\w+)`", named)) <= set(INVARIANTS), hazard
+        assert bool(named) or bool(why), hazard
+        # A reason is a sentence with the tests that stand in the place of the invariant.
+        tests = set(re.findall(r"`(test_\w+\.py)`", why))
+        assert bool(tests) == bool(re.search(r"\w+ \w+ \w+", why)), hazard
+        assert tests <= files, hazard
+
+
+def test_every_invariant_is_a_row_of_the_table() -> None:
+    assert {row[0].strip("`") for row in _rows(HERE / "README.md", "invariant")} == set(INVARIANTS)
 
 
 def _short(*events: Event) -> Schedule:
@@ -188,6 +230,51 @@ MENDED = {
         100.0,
     ),
 }
+
+
+# The nodes of a process of a site, in the order in which it ends them.
+TOGETHER = {LINK: [HAND, "controller@master", LINK], TIP: ["controller@slave", TIP]}
+
+
+@pytest.mark.check("takes 1 s each")
+@pytest.mark.parametrize("node", TOGETHER)
+@pytest.mark.parametrize("how", ["killed", "ended", "failed", "replaced"])
+@pytest.mark.parametrize("processes", PROCESSES)
+def test_the_nodes_of_a_process_end_and_come_back_together(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, processes: str, how: str, node: str
+) -> None:
+    monkeypatch.setattr(faulty_rig, "_LONGEST_S", 1.2)
+    end: Event = {"at_s": 0.6, "kind": "kill", "node": node, "after": 0, "torn": 0.0, "how": how}
+    faulty_rig.run(Schedule(1, "wave", 0.005, 0.0, (end,), 50.0, processes=processes), tmp_path / "session")
+    acts = json.loads((tmp_path / "session" / "history.json").read_text(encoding="utf-8"))["acts"]
+    together = TOGETHER[node] if processes == "site" else [node]
+    wanted = "killed" if how == "killed" else "ended"
+    ended = [act for act in acts if act["what"] == wanted and act["t_ns"] < 0.7e9]
+    again = [act for act in acts if act["what"] == "started" and act["t_ns"] > 0.55e9]
+    assert [act["node"] for act in ended] == (together if how != "killed" else sorted(together, key=_built_before))
+    assert sorted(act["node"] for act in again) == sorted(together)
+    # Who replaces a process does not wait; the launcher waits for a tenth of a second.
+    (away_ns,) = {act["t_ns"] - ended[0]["t_ns"] for act in again}
+    assert (away_ns < 1e8) == (how == "replaced")
+
+
+def _built_before(node: str) -> int:
+    return [LINK, "controller@master", HAND, "controller@slave", TIP].index(node)
+
+
+@pytest.mark.check("takes 3 s")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_campaign_that_is_ended_prints_its_tables(tmp_path: Path, number: signal.Signals) -> None:
+    command = [sys.executable, "-m", "tests.simulation", "--hours", "10", "--out", str(tmp_path)]
+    process = children.start(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    first = process.stdout.readline()
+    process.send_signal(number)
+    said, _ = process.communicate(timeout=60)
+    assert first.startswith("schedules from the seed 1;")
+    assert {line.partition(" ")[0] for line in said.splitlines()} >= set(INVARIANTS)
+    assert all(situation in said for situation in SITUATIONS)
+    assert process.returncode == 0
 
 
 def test_the_stamps_of_a_process_never_go_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

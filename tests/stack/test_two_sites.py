@@ -84,11 +84,13 @@ waiting = []
 for s in trying:
     try:
         s.getpeername()
+        # Where the queue of the listener is full, its end of the connection begins with the first byte.
+        s.send(b"\\xff")
         waiting.append(s)
     except OSError:
         s.close()
 print(len(waiting), began_s, time.monotonic() - begun, flush=True)
-accepted, end = len(waiting), time.monotonic() + 12
+accepted, end = len(waiting), time.monotonic() + 40
 while waiting and time.monotonic() < end:
     for s in list(waiting):
         try:
@@ -239,9 +241,15 @@ def process_of(site: Site, node: str) -> int:
 
 
 def take_up_again(rig: TwoSites) -> None:
-    """Arm both devices and leave them a second of coupled operation."""
-    rig.rearm()
-    time.sleep(1.5)
+    """Arm both devices until the tip has followed the hand for a second; on a slow machine a stall withdraws it."""
+
+    def coupled() -> bool:
+        rig.rearm()
+        time.sleep(1.5)
+        found = rig.slave.recording().messages("afm/state", time.time_ns() - NS_PER_S)
+        return {message.fields()["mode"] for message in found} == {"follow"}
+
+    rig.wait_until(coupled, "a second of coupled operation")
 
 
 def refusals(rig: TwoSites, reason: str, node: str = "delay_node@master") -> int:
@@ -582,6 +590,7 @@ def killed(site: Site) -> float:
 
 
 def test_the_slave_killed_and_started_again_is_taken_up(rig: TwoSites) -> None:
+    take_up_again(rig)
     fault = Fault(rig)
     dead_s = killed(rig.slave)
     time.sleep(2.0)
@@ -600,6 +609,7 @@ def test_the_slave_killed_and_started_again_is_taken_up(rig: TwoSites) -> None:
 
 
 def test_the_master_killed_and_started_again_begins_anew(rig: TwoSites) -> None:
+    take_up_again(rig)
     fault = Fault(rig)
     dead_s = killed(rig.master)
     time.sleep(2.0)

@@ -14,15 +14,17 @@ from telenano.cli.completion import node_names
 from telenano.cli.exit_codes import EXIT_FAILED
 from telenano.cli.options import (
     CountOption,
+    EndOption,
     ExcludeOption,
     JsonOption,
     SameSessionOption,
+    StartOption,
     TopicsOption,
     command_group,
 )
 from telenano.cli.output import print_answer, print_document, print_json, report_errors
 from telenano.recording.channel_filter import Selection
-from telenano.wire.errors import RecordingError
+from telenano.wire.errors import ConfigError, RecordingError
 
 if TYPE_CHECKING:
     pass
@@ -33,14 +35,30 @@ _LONG_BYTES = 16 << 20
 
 app = command_group()
 
-FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Recording (.mcap).")]
-FilesArgument = Annotated[list[Path], typer.Argument(metavar="FILE", help="Recordings (.mcap).")]
+
+def _file(path: Path) -> Path:
+    """Return the recording that a path names: itself, or the one of a session's folder; ConfigError for several."""
+    parts = _files([path])
+    if len(parts) > 1:
+        raise ConfigError(f"{path}: has several recordings, give one of {', '.join(part.name for part in parts)}")
+    return parts[0]
+
+
+def _files(paths: list[Path]) -> list[Path]:
+    """Return the recordings that paths name: themselves, or all parts of the recording of a session's folder."""
+    from telenano.recording.multi_file import recordings_of
+
+    return [part for path in paths for part in recordings_of(path)]
+
+
+FileArgument = Annotated[Path, typer.Argument(metavar="FILE|DIR", callback=_file, help="Recording, or its folder.")]
+FilesArgument = Annotated[
+    list[Path], typer.Argument(metavar="FILE|DIR", callback=_files, help="Recordings, or the folder of a session.")
+]
 OutOption = Annotated[Path, typer.Option("--out", metavar="PATH", help="File or folder to make, never overwritten.")]
 NodesOption = Annotated[
     list[str] | None, typer.Option("--nodes", metavar="NODE", help="Only messages of these nodes (repeatable).")
 ]
-StartOption = Annotated[float, typer.Option("--start", min=0.0, metavar="S", help="From this time on [s].")]
-EndOption = Annotated[float | None, typer.Option("--end", metavar="S", help="Up to this time [s].")]
 ToleranceOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -109,7 +127,7 @@ def cat(
     topics: TopicsOption = None,
     exclude: ExcludeOption = None,
     nodes: NodesOption = None,
-    start: StartOption = 0.0,
+    start: StartOption = None,
     end: EndOption = None,
     count: CountOption = None,
     same_session: SameSessionOption = False,
@@ -118,13 +136,14 @@ def cat(
     with report_errors(as_json=False):
         from telenano.recording.channel_filter import some_of
         from telenano.recording.multi_file import open_recordings
+        from telenano.recording.recorded_time import span_of
         from telenano.recording.tables import line
 
         recording = open_recordings(files, same_session=same_session)
         chosen = Selection.of(topics or (), exclude or (), nodes or ())
         chosen.demand_some_of(files[0], recording.channels)
         span_ns = recording.span_ns
-        messages = recording.select(chosen, *_bounds(span_ns[0], start, end))
+        messages = recording.select(chosen, *span_of(span_ns[0], start, end))
         for message in islice(some_of(files[0], messages, span_ns, start, end), count):
             print_json(line(message))
 
@@ -136,7 +155,7 @@ def filter_file(
     topics: TopicsOption = None,
     exclude: ExcludeOption = None,
     nodes: NodesOption = None,
-    start: StartOption = 0.0,
+    start: StartOption = None,
     end: EndOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -231,13 +250,17 @@ def export(
     ],
     topics: TopicsOption = None,
     exclude: ExcludeOption = None,
+    start: StartOption = None,
+    end: EndOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Convert a recording for other tools; viewers read mcap-json."""
     with report_errors(as_json):
         from telenano.recording.export import export_recording
+        from telenano.recording.rewrite import part_of
 
-        _print_model(export_recording(file, out, to, Selection.of(topics or (), exclude or ())), as_json)
+        with part_of(file, start, end) as part:
+            _print_model(export_recording(part, out, to, Selection.of(topics or (), exclude or ())), as_json)
 
 
 @app.command()
@@ -294,11 +317,6 @@ def _row(path: Path) -> dict[str, Any]:
     note = f"{note}, {info.lost} messages missing".strip(", ") if info.lost else note
     facts = {"path": str(path), "duration_s": round(info.duration_s, 3), "messages": info.messages}
     return {**facts, "size_bytes": info.size_bytes, "note": note}
-
-
-def _bounds(origin_ns: int, start_s: float, end_s: float | None) -> tuple[int, int | None]:
-    end_ns = None if end_s is None else origin_ns + round(end_s * 1e9)
-    return origin_ns + round(start_s * 1e9), end_ns
 
 
 def _print_model(model: BaseModel, as_json: bool) -> None:

@@ -17,6 +17,7 @@ from telenano.cli.option_rules import Keys, Void, rules
 from telenano.cli.options import (
     AllowCodeOption,
     FormatOption,
+    JobsOption,
     JsonOption,
     QuietOption,
     SeedsOption,
@@ -33,30 +34,35 @@ from telenano.cli.output import (
     report_errors,
     say,
 )
-from telenano.cli.sweep import SEED, SESSION_RULES, points_of, run_sweep, without_sweep
+from telenano.cli.sweep import SEED, SESSION_RULES, plan_sweep, points_of, run_sweep, without_sweep
 from telenano.launcher.plan import Plan
 from telenano.launcher.run import Outcome, default_folder, report_of, reserved_folder
 from telenano.settings.config import permit_code
 from telenano.settings.plugins import known_problems
-from telenano.virtual.request import SEEDS, SimulateRequest, plan_of, run_plan
+from telenano.settings.scenario import SEEDS
+from telenano.signals.children import processors
+from telenano.virtual.request import SimulateRequest, plan_of, run_plan
 from telenano.wire.errors import ConfigError, ReportError
 
 
 @rules(
     *SESSION_RULES,
     Keys("--seed", ", ".join((SEED, *SEEDS))),
+    Void("--jobs", "which is one session", unless="--sweep, --seeds"),
     Keys("--both-sites", "recorder.far"),
     Void("--format, --style", "which leaves out the figure", beside="--no-report", unless="--sweep, --seeds"),
 )
 @with_options(SimulateRequest, ("scenario",), units=SECONDS)
 def simulate(
+    given: Given,
     scenario: Annotated[
         str,
         typer.Argument(
-            metavar="NAME|FILE", help="Experiment to run: a known name or a YAML file.", autocompletion=scenario_names
+            metavar="[NAME|FILE]",
+            help="Experiment to run: a known name or a YAML file.",
+            autocompletion=scenario_names,
         ),
-    ],
-    given: Given,
+    ] = "fig12",
     sweep: Annotated[
         list[str] | None,
         typer.Option(
@@ -73,6 +79,7 @@ def simulate(
     formats: FormatOption = "png",
     style: StyleOption = "screen",
     table: TableOption = "csv",
+    jobs: JobsOption = None,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -87,7 +94,8 @@ def simulate(
         request = validated(SimulateRequest, {**given, "scenario": scenario})
         repeated = [] if seeds is None else [f"{SEED}={','.join(map(str, range(seeds)))}"]
         if sweep or repeated:
-            _sweep([*(sweep or ()), *repeated], request, options, table, quiet=quiet, as_json=as_json)
+            values = [*(sweep or ()), *repeated]
+            _sweep(values, request, options, table, jobs=jobs or processors(), quiet=quiet, as_json=as_json)
             return
         view = LineView(console(), quiet=quiet or as_json)
         if request.out is not None:
@@ -124,7 +132,14 @@ def _run(
 
 
 def _sweep(
-    values: list[str], request: SimulateRequest, options: FigureOptions, tables: str, *, quiet: bool, as_json: bool
+    values: list[str],
+    request: SimulateRequest,
+    options: FigureOptions,
+    tables: str,
+    *,
+    jobs: int,
+    quiet: bool,
+    as_json: bool,
 ) -> None:
     """Run this command once for each point of a sweep, then compare the sessions with the command of a package."""
     table_formats(tables)
@@ -133,10 +148,9 @@ def _sweep(
     points = points_of(values, seed_option="--seed")
     if len(points) < 2:
         raise ConfigError("--sweep: gives one session, and needs two or more to compare")
-    for point in points:
-        # A plan is made for every point first, so that a wrong key or value is found before the first session runs.
-        plan_of(point.asked_of(request, folder), folder)
+    kept, settings = plan_sweep(points, request, folder, lambda asked: plan_of(asked, folder))
     words = without_sweep(sys.argv, "simulate")
-    folders = run_sweep(points, words, folder, quiet=quiet, name="simulate")
+    words = words if request.scenario in words else [request.scenario, *words]
+    folders = run_sweep(points, words, folder, kept, settings, jobs=jobs, quiet=quiet, name="simulate")
     formats = ",".join(options.formats)
     compare(folders, folder, formats=formats, style=options.style, table=tables, as_json=as_json)

@@ -205,17 +205,15 @@ def _sweep(
     values: list[str], request: UpRequest, options: FigureOptions, tables: str, *, quiet: bool, as_json: bool
 ) -> None:
     """Run this command once for each point of a sweep, then compare the sessions with the command of a package."""
-    from telenano.cli.sweep import points_of, run_sweep, without_sweep
+    from telenano.cli.sweep import plan_sweep, points_of, run_sweep, without_sweep
 
     compare = function_of_package("compare")
     folder = request.out or default_folder(request.scenario, datetime.now())
     points = points_of(values)
     if len(points) < 2:
         raise ConfigError("--sweep: gives one session, and needs two or more to compare")
-    for point in points:
-        # A plan is made for every point first, so that a wrong key or value is found before the first session runs.
-        make_plan(point.asked_of(request, folder), folder)
-    folders = run_sweep(points, without_sweep(sys.argv), folder, quiet=quiet)
+    kept, settings = plan_sweep(points, request, folder, lambda asked: make_plan(asked, folder))
+    folders = run_sweep(points, without_sweep(sys.argv), folder, kept, settings, quiet=quiet)
     formats = ",".join(options.formats)
     compare(folders, folder, formats=formats, style=options.style, table=tables, as_json=as_json)
 

@@ -65,6 +65,8 @@ class LocalReaders:
         # Bytes not read on the connection of each stranger, and number of looks since they changed.
         self._standing: dict[Accepted, tuple[int, int]] = {}
         self._open_files = -1
+        # The processes that were found to be nodes of the site file: their lock files may be removed under way.
+        self._nodes: set[int] = set()
         self._reported: set[tuple[int, str]] = set()
 
     def add(self, endpoint: str | None) -> None:
@@ -86,9 +88,12 @@ class LocalReaders:
         closed: list[Closed] = []
         # A connection was made or has ended since the last look.
         if count != self._open_files:
-            holders = self._holders()
+            found = list(accepted(self.paths))
+            # A process that has gone, whose number another one may have, is forgotten.
+            self._nodes &= {each.process for each in found}
+            self._nodes.update(self._holders())
             self._open_files = count
-            strangers = [each for each in accepted(self.paths) if each.process not in holders]
+            strangers = [each for each in found if each.process not in self._nodes]
             before = self._standing
             self._standing = {each: before.get(each, (0, 0)) for each in strangers}
             closed = self._close_surplus(strangers)
@@ -115,12 +120,14 @@ class LocalReaders:
     def _close_standing(self) -> list[Closed]:
         gone: dict[int, int] = {}
         for each, (before, looks) in list(self._standing.items()):
-            unread = _unread(each)
-            looks = looks + 1 if unread and unread == before else 0
-            self._standing[each] = unread, looks
+            waiting = unread(each)
+            looks = looks + 1 if waiting and waiting == before else 0
+            self._standing[each] = waiting, looks
             if looks >= _STANDING_LOOKS and self._close(each):
                 gone[each.process] = gone.get(each.process, 0) + 1
-        return [Closed(process, count, "nothing was read on them") for process, count in gone.items()]
+        return [
+            Closed(process, count, "their reader does not keep up with what is sent") for process, count in gone.items()
+        ]
 
     def _close(self, connection: Accepted) -> bool:
         self._standing.pop(connection, None)
@@ -171,7 +178,8 @@ def holders_of(locks: Iterable[Path]) -> set[int]:
     return found
 
 
-def _unread(connection: Accepted) -> int:
+def unread(connection: Accepted) -> int:
+    """Return the number of bytes that were sent on a connection and that its reader has not read yet."""
     try:
         answer = fcntl.ioctl(connection.descriptor, _SIOCOUTQ, bytes(4))
     except OSError:

@@ -15,7 +15,7 @@ import zmq
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import PINGING_HIGH_WATER_MARK, ConnectionEvent, Subscriber
 from telenano.runtime.bus.hearing import BEACON, Hearing, LocalConnections
-from telenano.runtime.bus.local_endpoint import fan_out_endpoint, is_bound, path_of
+from telenano.runtime.bus.local_endpoint import bound_by, fan_out_endpoint, is_bound, path_of
 from telenano.runtime.bus.local_readers import LocalReaders, holders_of
 from telenano.runtime.bus.places import Places
 from telenano.runtime.bus.publisher import ZmqPublisher, bind
@@ -403,9 +403,11 @@ class Transport:
         return events
 
     def _holders(self) -> set[int]:
-        """Return the processes of this machine that are nodes of the site file."""
+        """Return the processes of this machine that are nodes of the site file, and the one that serves observers."""
         endpoints = (self.book.local_endpoint(node) for node in self.book.nodes)
-        return holders_of(Path(f"{path_of(endpoint)}.lock") for endpoint in endpoints if endpoint is not None)
+        nodes = holders_of(Path(f"{path_of(endpoint)}.lock") for endpoint in endpoints if endpoint is not None)
+        serving = (bound_by(fan_out_endpoint(f"ipc://{path}")) for path in self.local_readers.paths)
+        return nodes | {peer.process for peer in serving if peer is not None}
 
 
 def _set_heartbeats(socket: "zmq.Socket[bytes]", silence_ms: int) -> None:

@@ -13,25 +13,14 @@ SCRIPTS = sorted(path.name for path in FOLDER.glob("*.py") if "__main__" in path
 # What the figures of the shortest run are within on any machine, by path, where `*` stands for each key or row. They
 # are wide: a script that measures nothing, or the wrong thing, misses them.
 BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
-    "cantilever.py": {
-        "convergence.without.*.x_real_time": (1e-3, 1e3),
-        "convergence.without.*.amplitude": (-1e-2, 1e-2),
-        "convergence.without.*.phase_degrees": (-1.0, 1.0),
-    },
     "compose.py": {"bare.hold_ratio": (0.9, 1.1), "compose.hold_ratio": (0.9, 1.1), "compose_to_bare.p50": (0.1, 50.0)},
-    "curve_fits.py": {
-        "rows.*.telenano.fitted": (1, 4), "rows.*.telenano.ms": (0.1, 1e4), "rows.*.ratio": (0.01, 100.0),
-    },
-    "devices.py": {},
     "dynamic_node.py": {"rounds.*.*.p50": (0.05, 500.0), "exchange_ms.*.*": (1e-4, 10.0)},
     "empty_loop.py": {"available": (0.2, 1.0), "stalls": (0, 1000)},
-    "estop.py": {},
     "growth.py": {
         "axes.*.rows.*.p50_ms": (0.05, 500.0), "axes.*.rows.*.hand_hz": (50.0, 1100.0),
         "axes.*.rows.*.rig_percent": (5.0, 400.0), "axes.*.rows.*.rig_mb": (100.0, 1e4),
     },
     "haptic_devices.py": {"cases.*.p50_ms": (0.05, 500.0), "cases.*.p50_ratio": (0.2, 20.0)},
-    "journal.py": {"entry of a turn.decodings": (0.01, 10.0), "link, plain.ratio": (0.5, 2.0)},
     "late_cycles.py": {
         "rows.*.cycles": (1000, 10_000), "rows.*.median_ms": (0.0, 500.0), "rows.*.late_in_million": (0.0, 1e6),
         "rows.*.runs_in_million.high": (100.0, 1e6), "rows.5.burner_percent": (0.5, 110.0),
@@ -39,7 +28,6 @@ BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
     "link.py": {
         "messages_per_s": (6000, 6000), "lost": (0, 0), "ratio": (0.5, 100.0), "delay_error_ms.p50": (-1.0, 100.0)
     },
-    "link_engine.py": {"networks.*.us": (1.0, 1e4), "networks.*.ratio": (0.05, 20.0)},
     "link_udp.py": {"median.*.lost": (0.0, 0.5), "median.*.p50_ms": (1e-3, 100.0), "ratio.p50": (0.2, 1e3)},
     "lockstep.py": {"rows.*.ratio": (20.0, 1e5), "rows.*.ns_per_tick": (10.0, 1e5)},
     "loop.py": {
@@ -47,13 +35,11 @@ BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
         "processor_percent.haptic_node@master": (1.0, 100.0), "start_s.*": (0.2, 60.0),
     },
     "mean_intervals.py": {"white.*.known": (0.5, 1.0), "white.*.covered": (0.7, 1.0)},
-    "network.py": {"round_trip_p50_ms.*": (0.01, 100.0), "curve_to_plain.cpu": (0.3, 5.0)},
     "observers.py": {
         "median.*.p50_ms": (0.05, 500.0), "median.*.hand_hz": (100.0, 1100.0), "median.shared.received_hz": (10.0, 2e4),
     },
     "particles.py": {"ratio.*": (0.3, 30.0), "times_real_time.*": (1.0, 1e6)},
     "peers.py": {"age_ms.*.p50": (0.01, 100.0), "rig_ratio.ZeroMQ.p50": (1.0, 50.0)},
-    "recompile.py": {"rows.*.share": (0.02, 1.5), "rows.*.time_s": (0.5, 600.0)},
     "replay.py": {
         "timing.messages": (1000, 1e6), "timing.interval_error_p50_s": (0.0, 0.05),
         "plain_timer.interval_error_p50_s": (0.0, 0.05),
@@ -65,11 +51,10 @@ BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
     "tables.py": {},
     "turns.py": {"parts.*.us": (0.5, 1e4), "parts.*.ratio": (0.2, 5.0)},
     "virtual.py": {"*.times": (0.05, 100.0), "*.best_us_per_ms": (10.0, 2e4)},
-    "viz.py": {},
     "wide_area.py": {"delay_ms": (10.0, 10.0), "link.0": (5.0, 500.0), "bare.0": (5.0, 500.0)},
 }  # fmt: skip
-# these need what a machine may lack, and say so
-NEED = {"compose.py": "docker", "curve_fits.py": "nanite", "viz.py": "page"}
+# this needs what a machine may lack, and says so
+NEED = {"compose.py": "docker"}
 # in one process, because most of the time goes into what they all import
 ASK = """
 import runpy, sys

@@ -26,7 +26,9 @@ def test_in_a_pipe_a_line_comes_every_ten_seconds(
         clock.now_s += LINE_EVERY_S
         show(40)
     lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "telenano: cells: 4 of 40"
+    # Four of forty took 10.4 s.
+    assert lines[0] == "telenano: cells: 4 of 40, some 2 min left"
+    assert lines[-2] == "telenano: cells: 36 of 40, some 10 s left"
     assert len(lines) == 10
     # what has not moved on is not said again
     assert lines[-1] == "telenano: cells: 40 of 40"

@@ -1,5 +1,11 @@
 """The sessions of a sweep: their names, their options, and the command of a package that compares them."""
 
+import json
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +15,8 @@ from typer.testing import CliRunner
 from telenano.cli import lazy_commands, sweep
 from telenano.cli.options import table_formats
 from telenano.cli.root import app
-from telenano.cli.sweep import points_of, run_sweep, without_sweep
+from telenano.cli.sweep import KEPT_NAME, Kept, points_of, run_sweep, without_sweep
+from telenano.testing import run_apart
 from telenano.virtual.request import SimulateRequest
 from telenano.wire.errors import ConfigError, RigError
 
@@ -102,24 +109,128 @@ def test_each_session_has_the_options_of_the_sweep_but_its_own() -> None:
     assert without_sweep(words, "simulate") == ["fig12", "--no-report"]
 
 
-def test_the_sessions_run_one_after_the_other_and_a_failure_is_named(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    commands: list[list[str]] = []
+class Sessions:
+    """Stands in for the commands of sessions: notes each, and leaves a recording, or fails where it is told to."""
 
-    def run(command: list[str], **options: Any) -> dict[str, Any]:
-        commands.append(command)
-        if "smith" in " ".join(command):
+    def __init__(self) -> None:
+        self.commands: list[list[str]] = []
+        self.failing: set[str] = set()
+
+    def __call__(self, command: list[str], **options: Any) -> dict[str, Any]:
+        self.commands.append(command)
+        folder = Path(command[command.index("--out") + 1])
+        if folder.name in self.failing:
             raise RigError("the rig failed")
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "session.mcap").touch()
         return {"verdict": "stable"}
 
-    monkeypatch.setattr(sweep, "run_session", run)
+    def names(self) -> list[str]:
+        names = [Path(command[command.index("--out") + 1]).name for command in self.commands]
+        self.commands.clear()
+        return names
+
+
+@pytest.fixture
+def sessions(monkeypatch: pytest.MonkeyPatch) -> Sessions:
+    ran = Sessions()
+    monkeypatch.setattr(sweep, "run_session", ran)
+    return ran
+
+
+POINTS = points_of(["controller.law=wave,smith,passivity"])
+SETTINGS = {point.name: "same" for point in POINTS}
+
+
+def test_a_failure_is_named_and_a_second_start_goes_on_with_what_is_left(tmp_path: Path, sessions: Sessions) -> None:
+    sessions.failing = {"law=smith"}
     with pytest.raises(RigError, match="the session law=smith failed: the rig failed"):
-        run_sweep(points_of(["controller.law=wave,smith,passivity"]), ["--no-view"], tmp_path)
-    assert capsys.readouterr() == ("", "1/3: law=wave\n2/3: law=smith\n")
-    assert commands[0][3:] == [
+        run_sweep(POINTS, ["--no-view"], tmp_path, Kept(tmp_path), SETTINGS)
+    assert sessions.commands[0][3:] == [
         "up", "--no-view", "--set", "controller.law=wave", "--out", str(tmp_path / "law=wave"), "--json",
     ]  # fmt: skip
+    assert sessions.names() == ["law=wave", "law=smith"]
+    sessions.failing = set()
+    folders = run_sweep(POINTS, ["--no-view"], tmp_path, Kept(tmp_path), SETTINGS)
+    # What was begun and is not done is replaced; nothing else is.
+    assert ["--overwrite" in command for command in sessions.commands] == [True, False]
+    assert sessions.names() == ["law=smith", "law=passivity"]
+    assert folders == [tmp_path / point.name for point in POINTS]
+    run_sweep(POINTS, ["--no-view"], tmp_path, Kept(tmp_path), SETTINGS)
+    assert sessions.names() == []
+
+
+def test_a_session_of_other_settings_or_without_its_recording_is_not_taken_for_done(
+    tmp_path: Path, sessions: Sessions
+) -> None:
+    run_sweep(POINTS, [], tmp_path, Kept(tmp_path), SETTINGS)
+    sessions.names()
+    (tmp_path / "law=smith" / "session.mcap").unlink()
+    run_sweep(POINTS, [], tmp_path, Kept(tmp_path), SETTINGS | {"law=wave": "other"})
+    assert ["--overwrite" in command for command in sessions.commands] == [False, False]
+    assert sessions.names() == ["law=wave", "law=smith"]
+
+
+def test_a_line_that_was_cut_short_counts_as_none(tmp_path: Path, sessions: Sessions) -> None:
+    run_sweep(POINTS, [], tmp_path, Kept(tmp_path), SETTINGS)
+    path = tmp_path / KEPT_NAME
+    path.write_text(path.read_text()[:-20])
+    sessions.names()
+    run_sweep(POINTS, [], tmp_path, Kept(tmp_path), SETTINGS)
+    assert sessions.names() == ["law=passivity"]
+
+
+def test_as_many_sessions_run_at_a_time_as_there_are_jobs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    at_once = threading.Barrier(3, timeout=20.0)
+
+    def run(command: list[str], **options: Any) -> dict[str, Any]:
+        at_once.wait()
+        return {}
+
+    monkeypatch.setattr(sweep, "run_session", run)
+    run_sweep(POINTS, [], tmp_path, Kept(tmp_path), SETTINGS, jobs=3)
+
+
+def test_an_interruption_ends_the_running_session_and_begins_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    begun: list[str] = []
+    ended: list[bool] = []
+
+    def run(command: list[str], progress: Callable[[float], object], **options: Any) -> dict[str, Any]:
+        begun.append(Path(command[command.index("--out") + 1]).name)
+        if len(begun) == 1:
+            return {}
+        os.kill(os.getpid(), signal.SIGINT)
+        try:
+            for _ in range(2000):
+                progress(0.0)
+                time.sleep(0.01)
+        except KeyboardInterrupt:
+            ended.append(True)
+            raise
+        return {}
+
+    monkeypatch.setattr(sweep, "run_session", run)
+    with pytest.raises(KeyboardInterrupt):
+        run_sweep(POINTS, [], tmp_path, Kept(tmp_path), SETTINGS)
+    assert (begun, ended) == (["law=wave", "law=smith"], [True])
+    assert "1 of 3 sessions are done and kept" in capsys.readouterr().err
+    kept = Kept(tmp_path)
+    assert [kept.is_partial(point.name) for point in POINTS] == [False, True, False]
+
+
+@pytest.mark.check("records two short sessions")
+def test_a_batch_is_recorded_first_and_its_figures_are_drawn_by_one_command(tmp_path: Path) -> None:
+    fast = ("--duration", "0.2", "--set", "realtime.rate_hz=250", "--no-report")
+    done = run_apart("simulate", *fast, "--seeds", "2", "--jobs", "2", "--out", tmp_path, "--json")
+    assert (done.returncode, len(json.loads(done.stdout)["sessions"])) == (0, 2), done.stderr
+    assert not list(tmp_path.rglob("fig12.png"))
+    done = run_apart("report", tmp_path, "--jobs", "2", "--json")
+    assert (done.returncode, len(json.loads(done.stdout)["sessions"])) == (0, 2), done.stderr
+    assert sorted(path.parent.name for path in tmp_path.rglob("fig12.png")) == ["seed=0", "seed=1"]
+    done = run_apart("simulate", *fast, "--set", "controller.law=wave", "--seeds", "3", "--out", tmp_path)
+    assert (done.returncode, "exists already" in done.stderr) == (2, True)
 
 
 @pytest.mark.parametrize(

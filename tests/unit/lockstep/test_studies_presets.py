@@ -6,9 +6,9 @@ import pytest
 from tried_laws import TRIED_LAWS as LAWS
 
 import telenano
-from telenano.lockstep.simulation import SimulatedSession
+from telenano.lockstep.simulation import SimulatedSession, simulate_scenario
 from telenano.settings.included import SCENARIO_DIRECTORY
-from telenano.wire.errors import ConfigError, RigError
+from telenano.wire.errors import LockstepError, RigError
 
 # The share of its longer tests that is in `make check` where the change touches none of these folders.
 pytestmark = pytest.mark.drawn(0.4, "telenano/laws/", "telenano/lockstep/", "telenano/sections/")
@@ -92,11 +92,11 @@ def test_of_a_law_that_moves_no_tip_it_is_said_that_none_arrived(environment: st
 @pytest.mark.parametrize("law", (*LAWS, "tactile"))
 @pytest.mark.parametrize("environment", ENVIRONMENTS)
 def test_what_a_lockstep_has_not_is_refused_in_words_that_name_it(law: str, environment: str) -> None:
-    with pytest.raises(ConfigError, match=r"afm_node.begin: tactile moves the tip by a program.*telenano up"):
-        telenano.simulate("fig10", law=law, environment=environment)
+    with pytest.raises(LockstepError, match=r"fig10: afm_node.begin: tactile moves the tip by a program"):
+        simulate_scenario("fig10", law=law, environment=environment)
     for scenario in ("touch", "image"):
-        with pytest.raises(ConfigError, match="interactive is a person, who cannot be simulated: give another"):
-            telenano.simulate(scenario, law=law, environment=environment)
+        with pytest.raises(LockstepError, match="interactive is a person, of whom a lockstep has no model"):
+            simulate_scenario(scenario, law=law, environment=environment)
 
 
 def test_the_scenarios_of_these_tests_are_those_that_ship() -> None:

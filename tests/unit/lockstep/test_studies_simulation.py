@@ -68,7 +68,6 @@ def test_a_network_that_jitters_is_named_with_the_round_trip_that_it_had() -> No
     ("given", "text"),
     [
         ({"law": "telepathy"}, "controller.law: Input should be"),
-        ({"scenario": "touch"}, "interactive is a person"),
         ({"settings": {"afm_node.rest_distance_m": -1.0}}, "afm_node.rest_distance_m"),
         ({"settings": {"haptic_node.driver": "serial",
                        "haptic_node.serial": {"port": "x", "calibration": "y"}}}, "only `up` can run it"),

@@ -12,6 +12,7 @@ from typing import IO, Any, cast
 
 import pytest
 import told_and_counted
+from mcap.records import Channel
 
 from telenano.recording.disk import OwnDisk
 from telenano.recording.multi_file import open_recordings
@@ -144,6 +145,33 @@ def test_what_a_recording_lacks_is_told_and_who_did_not_end_was_not_restarted(
     assert said <= ended
     # Something is missing of every case, or the table shows nothing.
     assert bool(counted) == is_lossy(who, how)
+
+
+def test_all_messages_of_a_console_are_lacking_of_which_only_the_end_was_heard() -> None:
+    console = "console@master"
+
+    def seen(topic: str, run: int, seq: int, **fields: Any) -> told_and_counted.Seen:
+        channel = Channel(
+            id=1,
+            schema_id=1,
+            topic=topic,
+            message_encoding="msgpack",
+            metadata={"topic": topic, "src": console, "site": "master", "via": "direct"},
+        )
+        fields |= {"src": console, "run": run, "seq": seq, "t_ns": run}
+        return told_and_counted.Seen(channel, seq, run, run, fields)
+
+    ended = {"state": "ended", "sent.session/control": 2, "sent.session/event": 1}
+    account = told_and_counted.Account(
+        [
+            seen("session/control", 10, 1, id="arm"),
+            seen("session/event", 10, 0, data=ended),
+            seen("session/event", 20, 0, data=ended),
+            seen("session/control", 30, 0, id="stop"),
+        ]
+    )
+    assert account.streams["session/control", console].lacking() == [((0, 1), 20)]
+    assert account.streams["session/event", console].lacking() == []
 
 
 def is_lossy(who: str, how: str) -> bool:

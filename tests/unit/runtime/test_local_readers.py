@@ -13,7 +13,7 @@ from test_memory_without_descriptors import room_for
 
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.bus import ConnectionEvent
-from telenano.runtime.bus.local_readers import MOST_IN_ALL, MOST_OF_ONE, accepted
+from telenano.runtime.bus.local_readers import MOST_IN_ALL, MOST_OF_ONE, accepted, unread
 from telenano.runtime.bus.publisher import ZmqPublisher
 from telenano.runtime.loop.realtime import raise_file_limit
 from telenano.runtime.wiring.transport import Transport, open_context
@@ -34,9 +34,13 @@ for _ in range(int(sys.argv[2])):
 print("connected", flush=True)
 sys.stdin.read()
 """
-# Subscribes to everything, and reads nothing, or all.
+# Subscribes to everything, and reads nothing, or all; may also listen where observers connect.
 SUBSCRIBES = """
-import sys, zmq
+import socket, sys, zmq
+if sys.argv[3] == "serves observers":
+    door = socket.socket(socket.AF_UNIX)
+    door.bind(sys.argv[1].removeprefix("ipc://") + ".fan")
+    door.listen()
 context = zmq.Context()
 sockets = [context.socket(zmq.SUB) for _ in range(int(sys.argv[2]))]
 for one in sockets:
@@ -137,21 +141,29 @@ def send(served: Served, count: int) -> None:
         served.publisher.send("afm/state", bytes(1000))
 
 
-@pytest.mark.parametrize("kind", ["stands still", "reads", "node"])
+@pytest.mark.parametrize(
+    "kind", ["stands still", "reads", "node", "node whose lock file is removed", "serves observers"]
+)
 def test_a_stranger_that_reads_nothing_is_cut_off_and_no_other(
     served: Served, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    reader = served.program(SUBSCRIBES, f"ipc://{served.path}", 1, "reads" if kind == "reads" else "")
-    if kind == "node":
-        (Path(served.path).parent / "recorder@master.lock").write_text(f"{reader.pid}\nrecorder@master\n\n")
+    reader = served.program(SUBSCRIBES, f"ipc://{served.path}", 1, kind)
+    lock = Path(served.path).parent / "recorder@master.lock"
+    if kind.startswith("node"):
+        lock.write_text(f"{reader.pid}\nrecorder@master\n\n")
     served.until(1, reader)
     time.sleep(0.1)
+    if kind == "node whose lock file is removed":
+        served.look()
+        lock.unlink()
+        # What is known of the readers is asked again as soon as there is another one.
+        served.program(CONNECTS, served.path, 1)
     for _ in range(12):
         send(served, 500)
         time.sleep(0.05)
         served.look()
     assert served.connections(reader) == (0 if kind == "stands still" else 1)
-    assert [event.data for event in served.events] == (
+    assert [event.data for event in served.events if event.data["process"] == reader.pid] == (
         [{"process": reader.pid, "count": 1}] if kind == "stands still" else []
     )
 
@@ -160,6 +172,10 @@ def test_a_stranger_that_is_idle_because_nothing_is_sent_stays(served: Served) -
     reader = served.program(SUBSCRIBES, f"ipc://{served.path}", 1, "")
     served.until(1, reader)
     send(served, 5)
+    end_s = time.monotonic() + PATIENCE_S
+    while any(unread(each) for each in accepted({served.path})):
+        assert time.monotonic() < end_s
+        time.sleep(0.02)
     served.look(12)
     assert (served.connections(reader), served.events) == (1, [])
 

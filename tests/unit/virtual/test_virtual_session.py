@@ -275,9 +275,20 @@ def test_the_api_records_what_the_command_records(tmp_path: Path) -> None:
     assert (tmp_path / "api" / "fig12.png").exists()
 
 
-def test_a_seed_without_a_recording_is_refused() -> None:
-    with pytest.raises(ConfigError, match="recording"):
-        telenano.simulate("fig12", seed=1)  # type: ignore[call-overload]
+@pytest.mark.check("records a session")
+def test_what_a_lockstep_has_no_model_for_is_run_by_the_nodes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.warns(UserWarning, match=r"fig10: afm_node.begin: tactile .* record sessions/fig10-"):
+        found = telenano.simulate("fig10", duration_s=0.3, settings={"realtime.rate_hz": 250}, seed=6, report=False)
+    assert isinstance(found, telenano.RecordedSession)
+    assert found.conditions.link_seed == 6
+    assert [path.name for path in tmp_path.glob("sessions/fig10-*/*.mcap")] == ["session.mcap"]
+
+
+@pytest.mark.parametrize("seed", [-1, 1.5, "1", 2**31])
+def test_a_seed_that_is_none_is_refused(seed: Any) -> None:
+    with pytest.raises(ConfigError, match="seed: must be a whole number from 0 to 2147483647"):
+        telenano.simulate("fig12", seed=seed)
 
 
 def test_settings_that_are_no_mapping_are_refused_by_name() -> None:

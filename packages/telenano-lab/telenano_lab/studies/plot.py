@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.files import atomic_file
-from telenano.recording import Timeline, open_recordings
+from telenano.recording import RecordedTime, Timeline, open_recordings, span_of
 from telenano.wire import ConfigError, RecordingError
 
 Floats = npt.NDArray[np.float64]
@@ -57,8 +57,10 @@ class _Course:
         return sent_ns[order], values[order]
 
 
-def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
-    """Read the fields named TOPIC.FIELD, each topic once and by the index of the recording.
+def read_traces(
+    path: Path, names: Sequence[str], start: RecordedTime | None = None, end: RecordedTime | None = None
+) -> list[Trace]:
+    """Read the fields named TOPIC.FIELD, each topic once and by the index of the recording, in a part of its time.
 
     Of more than a million samples, only those are kept that a line in a picture shows.
 
@@ -88,10 +90,16 @@ def read_traces(path: Path, names: Sequence[str]) -> list[Trace]:
                 courses[f"{topic}.{field}"].add(sent_ns, piece[field].astype(np.float64))
     samples = {name: course.samples() for name, course in courses.items()}
     origin_ns = min((int(sent_ns[0]) for sent_ns, _ in samples.values() if sent_ns.size), default=0)
-    return [
-        Trace(name, np.asarray((sent_ns - origin_ns) * 1e-9, dtype=np.float64), values)
-        for name, (sent_ns, values) in samples.items()
-    ]
+    from_ns, to_ns = span_of(recording.span_ns[0], start, end)
+    traces = []
+    for name, (sent_ns, values) in samples.items():
+        chosen = np.full(sent_ns.size, True) if start is None else sent_ns >= from_ns
+        chosen &= True if to_ns is None else sent_ns < to_ns
+        if sent_ns.size and not chosen.any():
+            raise RecordingError(f"{path}: {name} has no sample from {start or 'its start'} to {end or 'its end'}")
+        time_s = np.asarray((sent_ns[chosen] - origin_ns) * 1e-9, dtype=np.float64)
+        traces.append(Trace(name, time_s, values[chosen]))
+    return traces
 
 
 def extremes(trace: Trace, bins: int = _BINS) -> tuple[Floats, Floats]:

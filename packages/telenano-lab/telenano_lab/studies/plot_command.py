@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from telenano.cli import report_errors
+from telenano.cli import EndOption, StartOption, report_errors
 
 # The columns and rows of a drawing where there is no terminal.
 _SIZE = (100, 12)
@@ -21,12 +21,14 @@ def plot(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="PNG to make; default: the terminal.")
     ] = None,
+    start: StartOption = None,
+    end: EndOption = None,
 ) -> None:
     """Draw fields over time, on the terminal or into a PNG."""
     with report_errors(as_json=False):
         from telenano_lab.studies.plot import draw, read_traces, save_png
 
-        traces = read_traces(file, fields)
+        traces = read_traces(file, fields, start, end)
         if out is not None:
             save_png(traces, out, file.name)
             typer.echo(str(out))

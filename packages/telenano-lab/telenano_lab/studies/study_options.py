@@ -9,7 +9,10 @@ import typer
 from telenano.wire import ConfigError
 
 WorkersOption = Annotated[
-    int | None, typer.Option("--workers", min=1, metavar="N", help="Processes on this machine; default: one a core.")
+    int | None,
+    typer.Option(
+        "--jobs", "--workers", min=1, metavar="N", help="Processes on this machine; default: one a processor."
+    ),
 ]
 
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from telenano import SimulatedSession, simulate
+from telenano import Session, simulate
 from telenano.afm import MaugisDugdale, damping_at
 from telenano.sections import LAWS, AfmConfig, ControllerConfig, HapticConfig
 from telenano_lab.studies.loops.theory import critical_delay_s, loop_model
@@ -120,7 +120,7 @@ def control_rows() -> list[Row]:
     return rows + _fig12_rows(simulate("fig12"))
 
 
-def _fig12_rows(session: SimulatedSession) -> list[Row]:
+def _fig12_rows(session: Session) -> list[Row]:
     """Return rows for Fig. 12 from a session in simulated time."""
     time, hand = session["time_s"], session["operator_force_n"]
     tip = session["scaled_tip_force_n"]
