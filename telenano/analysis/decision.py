@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from telenano.analysis.beyond_noise import checked
 from telenano.analysis.envelope import WINDOWS, by_envelope, envelope_of, recurs, sizes_of, turns_of
 from telenano.analysis.findings import Cause, Finding, on_its_way
 from telenano.analysis.modes import LEAST_SAMPLES, LINE_OVER_NOISE, Mode, centred, rms
@@ -64,7 +65,12 @@ def decide(motion: Motion) -> Finding:
     """
     found, doubt, parts = by_parts(motion)
     if found is not None:
-        return found
+        return checked(found, motion, parts[-1])
+    return checked(_in_doubt(motion, doubt, parts), motion, None)
+
+
+def _in_doubt(motion: Motion, doubt: "Doubt | None", parts: list[Window]) -> Finding:
+    """Return what the envelope says of a motion that no modes decide."""
     envelope = by_envelope(motion)
     seems_to_fall = envelope.kind == "limit_cycle" and _seems_to_fall(parts)
     if doubt is not None:

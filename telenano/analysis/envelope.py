@@ -46,7 +46,7 @@ def by_envelope(motion: Motion) -> Finding:
         return Finding("cannot_say", Cause.FEW_SAMPLES, float(np.ptp(values)), samples=len(values))
     sizes = sizes_of(motion)
     window_s = motion.period_s * len(values) / WINDOWS
-    rate, end_n = _trend(sizes, small_n)[0] / (window_s * WINDOWS), max(sizes[-2:])
+    rate, end_n = trend(sizes, small_n)[0] / (window_s * WINDOWS), max(sizes[-2:])
     late = Finding("cannot_say", Cause.IRREGULAR_UNKNOWN, max(sizes[WINDOWS // 2 :]), rate, max(sizes[WINDOWS // 2 :]))
     if end_n > small_n and falls_as_noise(values, motion.noise_n):
         return late._replace(cause=Cause.LIKE_NOISE, size_n=max(sizes), decisive_n=max(sizes))
@@ -75,13 +75,13 @@ def by_envelope(motion: Motion) -> Finding:
 def _fate(sizes: list[float], small_n: float) -> Fate:
     """Return what an envelope does that is not small at its end: see `by_envelope`."""
     half = WINDOWS // 2
-    (late, late_error), (whole, whole_error) = _trend(sizes[half:], small_n), _trend(sizes, small_n)
+    (late, late_error), (whole, whole_error) = trend(sizes[half:], small_n), trend(sizes, small_n)
     earlier, later = max(sizes[half:-2]), max(sizes[-2:])
     if abs(late) + late_error < 2.0 * LEAST_CHANGE and -late < max(late_error, LEFT_SHARE * LEAST_CHANGE):
         return Fate.LASTING
     if whole - whole_error > LEAST_CHANGE and late > 0.0 and sizes[-1] > (1.0 - LEFT_SHARE) * max(sizes):
         return Fate.GROWING if late - late_error > LEAST_CHANGE or later > earlier else Fate.UNSURE
-    early = _trend(sizes[:half], small_n)[0]
+    early = trend(sizes[:half], small_n)[0]
     if whole + whole_error < -LEAST_CHANGE and late < 0.0:
         # A motion that falls to a swing that stays falls more slowly at the end.
         return Fate.FALLING if late + late_error < -LEAST_CHANGE and late < 0.6 * early else Fate.UNSURE
@@ -91,7 +91,7 @@ def _fate(sizes: list[float], small_n: float) -> Fate:
     return Fate.LASTING if stays and not falls and abs(late) < LEAST_TURNS * late_error else Fate.UNSURE
 
 
-def _trend(sizes: list[float], small_n: float) -> tuple[float, float]:
+def trend(sizes: list[float], small_n: float) -> tuple[float, float]:
     """Return by how much sizes change over all their windows [1, logarithm], and SURE_ERRORS of its standard errors."""
     count = len(sizes)
     logs = [math.log(max(size, 1e-3 * small_n)) for size in sizes]

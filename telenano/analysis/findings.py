@@ -24,6 +24,7 @@ class Cause(Enum):
     DIES_OUT = auto()
     MOVED = auto()
     TO_THE_REST = auto()
+    GROWS_SMALL = auto()
 
 
 class Finding(NamedTuple):
@@ -32,7 +33,8 @@ class Finding(NamedTuple):
     size_n: size of the motion at its end [N]; decisive_n: size of the mode that decides [N], with its growth [1/s], the
     standard error of that [1/s] and its frequency [Hz], 0 for one without a swing, None for an envelope; needs_s,
     needs_noise_n: the length of a hold [s], and the noise [N], that would decide; rest_from_s: start of the rest [s],
-    None without one; samples: their number, if they are too few.
+    None without one; samples: their number, if they are too few; band_hz: the band that has
+    most of the power of a motion without a line [Hz].
     """
 
     kind: Kind
@@ -46,6 +48,7 @@ class Finding(NamedTuple):
     needs_noise_n: float = 0.0
     rest_from_s: float | None = None
     samples: int = 0
+    band_hz: tuple[float, float] = (0.0, 0.0)
 
 
 def on_its_way(found: Finding, way_n: float, needs_s: float) -> Finding:

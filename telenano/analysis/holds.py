@@ -25,12 +25,15 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.analysis.interruptions import DEADLINE, REPORTED_WITHIN_S, Interruption, in_words
+from telenano.analysis.measured_noise import Noise, free_noise
 from telenano.analysis.modes import LEAST_SAMPLES, centred, rms
 from telenano.analysis.swings import Swing, swings_of
 from telenano.analysis.verdict import (
     ERROR_SHARE,
     LEAST_TURNS,
     SMALL_SHARE,
+    WAY_TRIPS,
+    Cause,
     Kind,
     Verdict,
     judge,
@@ -52,6 +55,7 @@ FactKind = Literal[
     "machine_late",
     "link_late",
     "contact_by_force",
+    "grows_small",
 ]
 
 # The thresholds of the episodes and of their facts; docs/studies.md has them in one table with those of the verdicts.
@@ -207,7 +211,8 @@ class SessionContext(NamedTuple):
     the loop [s]; transit_s: longest transit of a command [s]; rest_force: alpha_f F_s [N] at which the law rests, as
     a function of the hand's force [N], None if the law does not state it; silences: topic of hand or tip, with start
     and end [s] of a span in which its source sent nothing, so that nothing is lost; let_go: start and end [s] of each
-    span with the motor of the hand off.
+    span with the motor of the hand off; noise: what the instrument states of the noise of its read-out, for a tip that
+    is never free, None if it states nothing.
     """
 
     planned: Sequence[tuple[float, float, float]] = ()
@@ -224,6 +229,7 @@ class SessionContext(NamedTuple):
     rest_force: Callable[[float], float] | None = None
     silences: Sequence[tuple[str, float, float]] = ()
     let_go: Sequence[tuple[float, float]] = ()
+    noise: Noise | None = None
 
 
 NO_CONTEXT = SessionContext()
@@ -347,7 +353,10 @@ def judge_holds(
         tip = tip._replace(in_contact=np.abs(scaled_force_n) > SMALL_SHARE * greatest)
     step_n = rounding_of(scaled_force_n)
     late = _late(context)
-    session = _Session(hand_time_s, hand_force_n, tip_time_s, scaled_force_n, tip, context, greatest, step_n, late)
+    free = free_noise(_free(hand_time_s, hand_force_n, tip_time_s, scaled_force_n, tip, SMALL_SHARE * greatest))
+    free = context.noise if free is None else free
+    series = (hand_time_s, hand_force_n, tip_time_s, scaled_force_n)
+    session = _Session(*series, tip, context, greatest, step_n, late, free)
     if spans is not None:
         return [hold_judged for hold in spans if (hold_judged := _judge_hold(session, hold, spans)) is not None]
     away = absences(tip_time_s, tip, context)
@@ -379,6 +388,17 @@ def judge_holds(
     return sorted(judged, key=lambda hold: hold.start_s)
 
 
+def _free(
+    hand_s: Series, hand_n: Series, tip_s: Series, tip_n: Series, tip: Instrument, small_n: float
+) -> list[Series]:
+    """Return the force of the tip [N] in each stretch in which it touches nothing, follows, and no hand presses."""
+    idle = np.interp(tip_s, hand_s, np.abs(hand_n)) <= small_n
+    free = tip.following & ~tip.in_contact & idle & np.isfinite(tip_n)
+    edges = np.flatnonzero(np.diff(free, prepend=False, append=False)).reshape(-1, 2).tolist()
+    # Where a stretch begins and ends the tip snaps in, and off.
+    return [tip_n[first + (last - first) // 16 : last - (last - first) // 16] for first, last in edges]
+
+
 def _late(context: SessionContext) -> list[Late]:
     """Return the delays of machine and link in a session, in the order of time."""
     late = list(context.late)
@@ -408,6 +428,7 @@ class _Session(NamedTuple):
     greatest_n: float
     step_n: float
     late: list[Late]
+    free: Noise | None = None
 
     @property
     def small_n(self) -> float:
@@ -536,6 +557,8 @@ def _judge_hold(session: _Session, hold: tuple[float, float, float], holds: Sequ
         if left_s < first.end_s - 0.125 * (first.end_s - first.start_s):
             words = f"the tip left the surface at {left_s:.3f} s, and stayed away"
             verdict = verdict._replace(kind="contact_lost", reason=words)
+    if first is not None and away is None:
+        verdict = _seen_long_enough(session, first, verdict)
     judged = Hold(start, end, force, *verdict[:5], coupled_share=share)
     if first is not None:
         rests = verdict.kind == "stable" and verdict.rest_from_s is not None
@@ -545,7 +568,19 @@ def _judge_hold(session: _Session, hold: tuple[float, float, float], holds: Sequ
     if len(tip_n) and (tip_n > session.small_n).all():
         judged = judged._replace(hold_ratio=float((hand_n / tip_n).mean()))
     before_s = max((one[1] for one in holds if one[1] <= start), default=float(session.hand_s[0]))
-    return judged._replace(facts=tuple(_facts(session, judged, episodes, before_s, tip_n)))
+    facts = _facts(session, judged, episodes, before_s, tip_n)
+    if verdict.cause is Cause.GROWS_SMALL:
+        facts.append(Fact("grows_small", verdict.growth_per_s or 0.0, verdict.reason))
+    return judged._replace(facts=tuple(facts))
+
+
+def _seen_long_enough(session: _Session, part: Episode, verdict: Verdict) -> Verdict:
+    """Return a verdict, or that it cannot be said if a contact that no guard ended is short beside the round trip."""
+    least_s = WAY_TRIPS * session.known.transit_s
+    if verdict.kind not in ("diverged", "limit_cycle") or part.end_s - part.start_s >= least_s:
+        return verdict
+    words = f"{verdict.reason}, and the force may be on its way: a hold of {least_s:.2g} s or more would decide"
+    return verdict._replace(kind="cannot_say", reason=words)
 
 
 def hold_forces(
@@ -613,9 +648,16 @@ def _judge_motion(session: _Session, part: Episode, force_n: float) -> Verdict:
     own = session.at(part.start_s, part.end_s)
     tip_s, touches = session.tip_s[own], session.tip.in_contact[own]
     tip_n, rest_n = _without_hand(session, part.start_s, part.end_s), session.rest_n(force_n)
+    first, last = np.searchsorted(session.hand_s, (part.start_s, part.end_s)).tolist()
+    # The trembling of a hand varies, so the largest quarter counts.
+    quarters = pairwise(np.linspace(first, last, 5).astype(int).tolist())
+    trembling = [rms(centred(session.hand_n[i:j])) for i, j in quarters if j > i]
+    own_n = 2.0 * math.sqrt(2.0) * max(trembling, default=0.0)
+    answers_n = STRUCK_FORCES * own_n
 
     def judged(samples: slice) -> Verdict:
-        return judge(tip_s[samples], tip_n[samples], session.greatest_n, rest_n, session.step_n)
+        force_n, known = tip_n[samples], (session.greatest_n, rest_n, session.step_n)
+        return judge(tip_s[samples], force_n, *known, free=session.free, answers_n=answers_n)
 
     # Judge the motion since the landing of the tip, and the whole one: the milder verdict counts.
     verdicts = [judged(slice(first, None)) for first in dict.fromkeys((_landed(touches), 0))]
@@ -624,14 +666,7 @@ def _judge_motion(session: _Session, part: Episode, force_n: float) -> Verdict:
     if verdict.kind in ("stable", "cannot_say") and left < len(touches):
         # The force of a tip that left the surface is not the rest of the loop.
         verdict = judged(slice(left))
-    if verdict.kind not in ("diverged", "limit_cycle"):
-        return verdict
-    first, last = np.searchsorted(session.hand_s, (part.start_s, part.end_s)).tolist()
-    # The trembling of a hand varies, so the largest quarter counts.
-    quarters = pairwise(np.linspace(first, last, 5).astype(int).tolist())
-    trembling = [rms(centred(session.hand_n[i:j])) for i, j in quarters if j > i]
-    own_n = 2.0 * math.sqrt(2.0) * max(trembling, default=0.0)
-    if verdict.peak_to_peak_n > STRUCK_FORCES * own_n:
+    if verdict.kind not in ("diverged", "limit_cycle") or verdict.peak_to_peak_n > answers_n:
         return verdict
     words = f"{verdict.reason}, and the hand trembles by {own_n:.2g} N: a hand that rests would decide"
     return verdict._replace(kind="cannot_say", reason=words)

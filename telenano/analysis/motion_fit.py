@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from telenano.analysis.findings import Cause, Finding, Kind, on_its_way
+from telenano.analysis.measured_noise import Noise
 from telenano.analysis.modes import LEAST_SAMPLES, Fit, Mode, amplitude, centred, fitted, rms
 from telenano.analysis.read_out import moved_of, noise_of
 from telenano.analysis.verdict_thresholds import (
@@ -88,7 +89,8 @@ class Motion(NamedTuple):
     """The force of an episode [N] at even times, with the period [s] and the end of these.
 
     hand_n: the hand's greatest force [N]; step_n, noise_n: step and noise of the read-out [N]; rest_n: the force at
-    which the law rests [N], None if unknown.
+    which the law rests [N], None if unknown; free: the noise of the free tip, None if it was not measured; answers_n:
+    the size of what may answer the trembling of the hand [N].
     """
 
     values: Series
@@ -98,6 +100,8 @@ class Motion(NamedTuple):
     step_n: float
     noise_n: float
     rest_n: float | None
+    free: Noise | None = None
+    answers_n: float = 0.0
 
     @property
     def small_n(self) -> float:

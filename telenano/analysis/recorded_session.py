@@ -36,6 +36,8 @@ from telenano.analysis.holds import (
 )
 from telenano.analysis.interruptions import Interruption, ModeReport, interruptions_of
 from telenano.analysis.line_states import line_states
+from telenano.analysis.measured_noise import Noise
+from telenano.analysis.stated_noise import stated_noise
 from telenano.analysis.summary import tip_columns
 from telenano.extend.advice import ADVICE
 from telenano.recording.arrays import in_step
@@ -304,6 +306,7 @@ def _read_session(recording: RecordingSource, timeline: Timeline) -> Session:
             _rest_force(document, facts, f"{recording.path}: scenario.yaml"),
             [(one.topic, one.start_s, one.end_s) for one in silences],
             _let_go(hand, start_ns),
+            _stated_noise(document, facts),
         ),
         knows_contact=_knows_contact(document, tip["separation_m"]),
     )
@@ -381,6 +384,16 @@ def _limits(document: Scenario, changed: Sequence[str]) -> Limits | None:
     # Only this part is validated, because the rest of the section may belong to a package.
     safety = validate(SafetyConfig, document.afm_node.get("safety", {}), "scenario.yaml", "afm_node.safety")
     return Limits(safety.force_limit_n, safety.command_deadline_s + safety.hold_time_s)
+
+
+def _stated_noise(document: Scenario, facts: Mapping[str, Any]) -> Noise | None:
+    """Return the noise that a simulated instrument states [N]; None of a package's own, or if it was changed."""
+    if any("afm_node." in change for change in facts["changed"]):
+        return None
+    try:
+        return stated_noise(AfmConfig.model_validate(document.afm_node), facts["parameters"]["force_scale"])
+    except ValueError:
+        return None
 
 
 def planned_holds(scenario: Scenario, end_s: float) -> list[tuple[float, float, float]]:

@@ -18,6 +18,7 @@ from telenano.analysis.decision import decide
 from telenano.analysis.findings import Cause as Cause
 from telenano.analysis.findings import Finding as Finding
 from telenano.analysis.findings import Kind as Kind
+from telenano.analysis.measured_noise import Noise
 from telenano.analysis.modes import LEAST_SAMPLES
 from telenano.analysis.motion_fit import Motion
 from telenano.analysis.read_out import even
@@ -32,6 +33,7 @@ from telenano.analysis.verdict_thresholds import LIKELY_ERRORS as LIKELY_ERRORS
 from telenano.analysis.verdict_thresholds import ONE_SIDED_CHANGE as ONE_SIDED_CHANGE
 from telenano.analysis.verdict_thresholds import SMALL_SHARE as SMALL_SHARE
 from telenano.analysis.verdict_thresholds import SURE_ERRORS as SURE_ERRORS
+from telenano.analysis.verdict_thresholds import WAY_TRIPS as WAY_TRIPS
 
 Series = npt.NDArray[np.float64]
 
@@ -54,7 +56,14 @@ class Verdict(NamedTuple):
 
 
 def judge(
-    time_s: Series, force_n: Series, hand_force_n: float, rest_n: float | None = None, step_n: float | None = None
+    time_s: Series,
+    force_n: Series,
+    hand_force_n: float,
+    rest_n: float | None = None,
+    step_n: float | None = None,
+    *,
+    free: Noise | None = None,
+    answers_n: float = 0.0,
 ) -> Verdict:
     """Judge the motion of an episode.
 
@@ -65,6 +74,8 @@ def judge(
         rest_n: The force at which the law rests [N], None if the law does not state it: an approach to it is stable.
         step_n: The step of a read-out that rounds [N], as `rounding_of` finds it in the whole recording, 0 if it does
             not round; None finds it in the episode, where a motion between two values looks like rounding.
+        free: The noise of the free tip, at the same rate of samples; None if it is not known.
+        answers_n: The size from peak to peak of what may answer the trembling of the hand [N].
 
     Raises:
         ValueError: The hand's force is not positive.
@@ -83,7 +94,7 @@ def judge(
     if noise > ERROR_SHARE * max(hand_force_n, float(np.ptp(values))):
         least_n = ERROR_SHARE * hand_force_n
         return _in_words(Finding("cannot_say", Cause.HIDDEN_BY_NOISE, needs_noise_n=least_n), noise)
-    motion = Motion(values, period_s, float(time_s[-1]), hand_force_n, step, noise, rest_n)
+    motion = Motion(values, period_s, float(time_s[-1]), hand_force_n, step, noise, rest_n, free, answers_n)
     return _in_words(decide(motion), noise)
 
 

@@ -13,6 +13,7 @@ def sentence(found: Finding, noise_n: float) -> str:
     less = f" or noise of less than {found.needs_noise_n:.2g} N" if found.needs_noise_n else ""
     cycle = f"a motion of {found.size_n:.3g} N from peak to peak"
     few = f"a motion of {found.size_n:.2g} N: a longer hold" if found.samples >= LEAST_SAMPLES else "it"
+    band = f" between {found.band_hz[0]:.2g} and {found.band_hz[1]:.2g} Hz" if found.band_hz[1] else ""
     sentences = {
         Cause.NOT_A_NUMBER: "the force is no number from some time on",
         Cause.FEW_SAMPLES: f"{found.samples} samples were taken of {few}"
@@ -29,8 +30,9 @@ def sentence(found: Finding, noise_n: float) -> str:
         f"{found.needs_noise_n:.2g} N would decide",
         Cause.GROWS: f"a motion of {swing} grows by {rate:.3g}/s",
         Cause.GOES_ON: f"{cycle}{turns} neither grows nor dies out",
-        Cause.IRREGULAR: f"{cycle} continues irregularly",
+        Cause.IRREGULAR: f"{cycle} continues irregularly{band}",
         Cause.AT_REST: f"at rest but for {found.decisive_n:.2g} N from peak to peak" if found.decisive_n else "at rest",
+        Cause.GROWS_SMALL: f"at rest but for {swing}, which grows by {rate:.3g}/s and is still small",
         Cause.DIES_OUT: f"the motion dies out by {-rate:.3g}/s{left}",
         Cause.MOVED: f"nothing swings, and the force moves by {found.decisive_n:.2g} N to one side",
         Cause.TO_THE_REST: f"the force goes to the rest of the law, {found.decisive_n:.2g} N are left",

@@ -10,6 +10,14 @@ ONE_SIDED_CHANGE = 1.5
 SURE_ERRORS = 2.5
 # number of standard errors beyond which a motion is likely to fall [1]: chance exceeds them once in forty times
 LIKELY_ERRORS = 2.0
+# round trips for which a force has to be seen [1]: a loop answers a step of the hand for about two
+WAY_TRIPS = 4.0
+# number of turns in a hold [1]: with fewer the size of each part depends on its phase
+FEW_TURNS = 5.0
+# standard errors of the power of noise [1]: chance exceeds them once in a thousand octaves
+MEASURED_ERRORS = 3.0
+# ratio of the noise in contact to that of the free tip [1]: so much they differ from 4 Hz on
+NOISE_AGREES = 1.5
 # least number of turns, or of occurrences [1]: fewer may be chance
 LEAST_TURNS = 2.0
 # error of an instrument as a share of the hand's force [1]: drift in a hold, noise, two calibrations; also the greatest

@@ -28,6 +28,7 @@ from telenano.analysis.holds import (
 )
 from telenano.analysis.interruptions import in_words
 from telenano.analysis.session import COLUMNS, Conditions, Session, hand_in_words, sample_in_words
+from telenano.analysis.stated_noise import stated_noise
 from telenano.extend.instruments import SafetyParams
 from telenano.lockstep import across
 from telenano.lockstep.link import Schedule
@@ -201,6 +202,7 @@ class SimulatedSession(Session):
             controller, transit_s + period_s, safety.command_deadline_s, haptic.limits.command_deadline_s
         )
         context = context._replace(planned=planned_holds(loaded.scenario, loaded.scenario.duration_s))
+        context = context._replace(noise=stated_noise(afm, section.force_scale))
         context = context._replace(answered_s=np.asarray(1e-9 * schedule.backward_ns - course.begins_s, np.float64))
         return cls(
             conditions,

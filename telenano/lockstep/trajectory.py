@@ -14,7 +14,9 @@ import numpy.typing as npt
 from telenano.afm.safety import MODE_FOLLOW, MODE_HOLD, REASON_NAMES
 from telenano.analysis.holds import NO_CONTEXT, Guard, Hold, Instrument, Limits, SessionContext, judge_holds
 from telenano.analysis.interruptions import ModeReport, interruptions_of
+from telenano.analysis.stated_noise import stated_noise
 from telenano.extend.instruments import SafetyParams
+from telenano.sections.afm_section import AfmConfig
 from telenano.sections.controller_section import KNOWN_LAWS, ControllerConfig
 
 Series = npt.NDArray[np.float64]
@@ -94,6 +96,7 @@ class Trajectory:
         spans: Sequence[tuple[float, float, float]],
         *,
         knows_contact: bool = True,
+        afm: AfmConfig | None = None,
     ) -> list[Hold]:
         """Return the holds of the hand, each with its judgement.
 
@@ -103,10 +106,12 @@ class Trajectory:
             deadlines_s: The deadlines for commands of both devices [s].
             spans: Begin and end of each hold [s], with the force of the hand in it [N].
             knows_contact: Whether the instrument measures contact.
+            afm: The configuration of the instrument, which states the noise of its read-out; None if it is unknown.
         """
         section = controller.law_config()
         tip = self.tip(section.position_scale, knows_contact=knows_contact)
-        context = self.context(None, known_of(controller, transit_s, *deadlines_s))
+        noise = None if afm is None else stated_noise(afm, section.force_scale)
+        context = self.context(None, known_of(controller, transit_s, *deadlines_s)._replace(noise=noise))
         tip_n = section.force_scale * self.tip_force_n
         return judge_holds(self.time_s, self.hand_force_n, self.time_s, tip_n, tip, context, spans)
 

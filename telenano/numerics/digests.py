@@ -36,6 +36,7 @@ SOURCES = (
     # The verdict.
     *("telenano/analysis/modes.py", "telenano/analysis/verdict_thresholds.py", "telenano/analysis/read_out.py"),
     *("telenano/analysis/motion_fit.py", "telenano/analysis/envelope.py", "telenano/analysis/findings.py"),
+    *("telenano/analysis/measured_noise.py", "telenano/analysis/stated_noise.py", "telenano/analysis/beyond_noise.py"),
     *("telenano/analysis/decision.py", "telenano/analysis/verdict_sentences.py", "telenano/analysis/verdict.py"),
     # Deadlines and the step of a reported delay, which are compiled into the loop.
     *("telenano/wire/topics.py", "telenano/wire/messages.py", "telenano/timing/freshness.py"),

@@ -76,6 +76,12 @@ MODULES: dict[str, tuple[str, ...]] = {
         "tests/verdicts/test_kept_verdicts.py",
         "tests/verdicts/test_judge.py",
     ),
+    "telenano/analysis/measured_noise.py": ("tests/unit/analysis/test_beyond_noise.py",),
+    "telenano/analysis/beyond_noise.py": (
+        "tests/unit/analysis/test_beyond_noise.py",
+        "tests/unit/analysis/test_verdict.py",
+        "tests/verdicts/test_kinds.py",
+    ),
     "telenano/analysis/verdict.py": (
         "tests/unit/analysis/test_verdict.py",
         "tests/verdicts/test_kept_verdicts.py",

@@ -471,3 +471,42 @@ def test_a_tip_that_follows_a_hand_which_trembles_more_and_more_does_not_grow(ga
     late_n = np.interp(TIME_S - 0.013, TIME_S, gain * (hand_n - HAND_N))
     holds = judge_holds(TIME_S, hand_n, TIME_S, HAND_N + late_n, instrument(), planned)
     assert all(hold.verdict in ("stable", "cannot_say") for hold in holds), holds
+
+
+@pytest.mark.parametrize(("transit_s", "kinds"), [(0.7, ["limit_cycle"]), (0.8, ["cannot_say"])])
+def test_a_hold_of_less_than_four_round_trips_condemns_nothing_unless_a_guard_ended_it(
+    transit_s: float, kinds: list[str]
+) -> None:
+    tip_n = HAND_N + swing(1.5, 4.5, 0.0, 0.3)
+    known = SessionContext(transit_s=transit_s)
+    hold = judge_holds(TIME_S, HAND_N, TIME_S, tip_n, instrument(), known)[0]
+    assert [hold.verdict] == kinds
+    assert ("round" not in hold.reason) and (hold.verdict == "limit_cycle" or "may be on its way" in hold.reason)
+    # the guard acts on a motion that grows
+    grows_n = HAND_N + swing(1.5, 4.5, 2.0, 0.01)
+    withdrawn = instrument()
+    withdrawn = withdrawn._replace(following=TIME_S < 4.0)
+    known = known._replace(guards=[Guard(4.0, "force_limit")])
+    assert judge_holds(TIME_S, HAND_N, TIME_S, grows_n, withdrawn, known)[0].verdict == "diverged"
+
+
+def test_a_motion_that_grows_and_is_still_small_is_a_fact_of_a_rest() -> None:
+    hold = judge_holds(TIME_S, HAND_N, TIME_S, HAND_N + swing(1.5, 4.5, 1.0, 0.002), instrument())[0]
+    (fact,) = (one for one in hold.facts if one.kind == "grows_small")
+    assert hold.verdict == "stable" and hold.rest_from_s == pytest.approx(1.5, abs=0.01)
+    assert fact.value == pytest.approx(1.0, rel=0.02)
+    assert "still small" in fact.text
+
+
+def test_the_noise_of_a_session_is_that_of_its_free_tip() -> None:
+    """Steps by chance of a tenth of the hand's force in contact, with and without the same in the free tip."""
+    generator = np.random.Generator(np.random.PCG64(5))
+    jumps_n = 0.2 * (np.searchsorted(np.sort(generator.uniform(1.5, 9.0, 300)), TIME_S) % 2 - 0.5)
+    contact = TIME_S > 1.2
+    free_n = 0.2 * (np.searchsorted(np.sort(generator.uniform(0.0, 1.0, 40)), TIME_S) % 2 - 0.5)
+    kinds = []
+    for tip_n in (np.where(contact, HAND_N + jumps_n, 0.0), np.where(contact, HAND_N + jumps_n, free_n)):
+        tip = instrument()._replace(in_contact=contact)
+        kinds.append({hold.verdict for hold in judge_holds(TIME_S, HAND_N, TIME_S, tip_n, tip)})
+    assert kinds[0] == {"limit_cycle"}
+    assert "limit_cycle" not in kinds[1]

@@ -42,7 +42,7 @@ def test_a_swing_that_grows_out_of_what_the_link_leaves_is_found_also_after_a_la
     dice = np.random.default_rng(7)
     kicks = np.convolve((dice.random(4000) < 0.1) * dice.random(4000) * 1e-4, np.exp(-np.arange(60) / 20.0))[:4000]
     landing = landing_n * np.exp(-time_s / 0.08) * np.cos(2.0 * np.pi * 4.0 * time_s)
-    swing = 0.02 * np.exp(growth_per_s * (time_s - 4.0)) * np.sin(2.0 * np.pi * 8.0 * time_s)
+    swing = 0.06 * np.exp(growth_per_s * (time_s - 4.0)) * np.sin(2.0 * np.pi * 8.0 * time_s)
     found = judge(time_s, 1.0 + landing - kicks + swing, 1.0)
     assert found.kind == "diverged", found
     assert found.growth_per_s == pytest.approx(growth_per_s, rel=0.2)

@@ -212,14 +212,18 @@ class Cell(Conditions):
         """Return the constants of the environment and its guard; ConfigError for a body that cannot be simulated."""
         return _instrument(self.environment, self.stiffness_n_per_m, self.mass_kg, self.damping_n_s_per_m)
 
+    def afm(self) -> AfmConfig:
+        """Return the instrument that reads the force, with its disturbances; ConfigError names a wrong key."""
+        # Link and instrument share one seed unless it is given.
+        section = merge({"seed": self.seed}, nested(dict(self.disturbances), "--disturb"))
+        return validate(AfmConfig, {"disturbances": section}, "--disturb")
+
     def disturbed_instrument(self, duration_s: float) -> Any:
         """Return the instrument with its disturbances for a run of duration_s [s]; ConfigError names a wrong key."""
         instrument = self.instrument()
         if not self.disturbances:
             return instrument
-        section = nested(dict(self.disturbances), "--disturb")
-        # Link and instrument share one seed unless it is given.
-        config = validate(AfmConfig, {"disturbances": merge({"seed": self.seed}, section)}, "--disturb")
+        config = self.afm()
         is_gauged = self.environment != "tip_sample"
         cantilever = _instrument("tip_sample", CANTILEVER_N_PER_M, 1.0, 0.0).plant if is_gauged else instrument.plant
         noisy = config.with_noise(instrument.plant, cantilever, duration_s, is_gauged=is_gauged)
@@ -425,7 +429,7 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
     span = (start_s, end_s, float(late.mean()) if late.size else _LEVELS_N[cell.environment][-1])
     knows_contact = cell.environment == "tip_sample"
     transit_s = cell.round_trip_s + controller.period_s
-    holds = course.holds(controller, transit_s, deadlines_s, (span,), knows_contact=knows_contact)
+    holds = course.holds(controller, transit_s, deadlines_s, (span,), knows_contact=knows_contact, afm=cell.afm())
     judgement = _UNTOUCHED
     if holds:
         (found,) = holds
