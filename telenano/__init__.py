@@ -1,7 +1,7 @@
 """The `telenano` command, and the functions for programs of your own.
 
-`open` reads a recording and `open_all` many of them, `simulate` runs a session, `live` connects to a running rig,
-`curves` fits force curves, and `check_law` tests a law.
+`open` reads a recording and `open_all` many of them, `simulate` runs a session and `simulate_all` many, `live` connects
+to a running rig, `curves` fits force curves, and `check_law` tests a law.
 """
 
 from importlib import import_module
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from telenano.api import open_all as open_all
     from telenano.lockstep.simulation import SimulatedSession as SimulatedSession
     from telenano.virtual.simulate import simulate as simulate
+    from telenano.virtual.simulate_all import simulate_all as simulate_all
 
     __version__: str
 
@@ -26,6 +27,7 @@ _ELSEWHERE = {
     "Session": ("telenano.analysis.session", "Session"),
     "SimulatedSession": ("telenano.lockstep.simulation", "SimulatedSession"),
     "simulate": ("telenano.virtual.simulate", "simulate"),
+    "simulate_all": ("telenano.virtual.simulate_all", "simulate_all"),
 }
 
 __all__ = [
@@ -40,6 +42,7 @@ __all__ = [
     "open",
     "open_all",
     "simulate",
+    "simulate_all",
 ]
 
 

@@ -59,6 +59,7 @@ _FIRST = (
     *("file", *_CONDITIONS, "measured_round_trip_ms", "session_verdict", "session_reason", "hold"),
     *Hold._fields,
 )
+_NEEDS_PANDAS = "a table of sessions as data of pandas: pandas is not installed"
 # Width of the progress bar in characters.
 _BAR = 30
 
@@ -121,6 +122,11 @@ class RecordedSession(Session):
     def __repr__(self) -> str:
         length = "" if self.start_ns is None else ", with a session of the operator"
         return f"<RecordedSession {self._source.path}: {len(self.channels)} channels{length}>"
+
+    @property
+    def file(self) -> str:
+        """The path of the recording, or of the first of its files."""
+        return str(self._source.path)
 
     @cached_property
     def course(self) -> ColumnTable:
@@ -367,7 +373,7 @@ def open_all(
         NoRecordingError: No recording matches; the message names the pattern.
         ConfigError: pandas is not installed; the message says how to install it.
     """
-    frames = required_module("pandas", "a table of recordings as data of pandas: pandas is not installed", "export")
+    required_module("pandas", _NEEDS_PANDAS, "export")
     paths = _recordings_at(recordings)
     rows_of: dict[Path, list[dict[str, Any]]] = {}
     for path in paths:
@@ -375,10 +381,15 @@ def open_all(
             rows_of[path] = rows
     new = [path for path in paths if path not in rows_of]
     for number, path in enumerate(new):
-        _show_progress(number, len(new), progress)
+        show_progress("recordings judged", number, len(new), progress)
         rows_of[path] = _rows(path) or []
-    _show_progress(len(new), len(new), progress)
-    rows = [row for path in paths for row in rows_of[path]]
+    show_progress("recordings judged", len(new), len(new), progress)
+    return frame_of([row for path in paths for row in rows_of[path]])
+
+
+def frame_of(rows: list[dict[str, Any]]) -> "pandas.DataFrame":
+    """Return the rows of sessions as a table of pandas; ConfigError where that is not installed."""
+    frames = required_module("pandas", _NEEDS_PANDAS, "export")
     names = dict.fromkeys(name for row in rows for name in row)
     # Columns that only some holds or laws have follow those that every session has.
     frame = frames.DataFrame(rows, columns=[*dict.fromkeys([*_FIRST, *names])])
@@ -419,11 +430,20 @@ def _rows(path: Path, *, kept_only: bool = False) -> list[dict[str, Any]] | None
         session = RecordedSession([path])
         if kept_only and not session.is_judged:
             return None
-        stated, holds = session.conditions, session.holds
+        return rows_of_session(session, str(path))
     except TelenanoError as error:
         return [{"file": str(path), "session_reason": str(error)}]
+
+
+def rows_of_session(session: Session, file: str) -> list[dict[str, Any]]:
+    """Return the rows of a session in a table of many, one for each hold, or one without a hold.
+
+    Raises:
+        RecordingError: It cannot be judged.
+    """
+    stated, holds = session.conditions, session.holds
     facts = {
-        "file": str(path),
+        "file": file,
         **stated.row(),
         "measured_round_trip_ms": session.measured_round_trip_ms,
         "session_verdict": session.verdict,
@@ -437,12 +457,13 @@ def _rows(path: Path, *, kept_only: bool = False) -> list[dict[str, Any]] | None
     return [{**facts, **row, **parameters} for row in rows or [{}]]
 
 
-def _show_progress(done: int, whole: int, is_wanted: bool) -> None:
+def show_progress(what: str, done: int, whole: int, is_wanted: bool) -> None:
+    """Show how far a call is, in a notebook or on a terminal."""
     # Only a notebook and a terminal can return to the beginning of the line.
     if is_wanted and whole > 1 and (sys.stderr.isatty() or "ipykernel" in sys.modules):
         bar = "#" * (_BAR * done // whole)
         end = "\n" if done == whole else ""
-        sys.stderr.write(f"\rrecordings judged: [{bar:<{_BAR}}] {done} of {whole}{end}")
+        sys.stderr.write(f"\r{what}: [{bar:<{_BAR}}] {done} of {whole}{end}")
         sys.stderr.flush()
 
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from telenano.lazy_exports import face
 
 if TYPE_CHECKING:
+    from telenano.analysis.estimates import denied as denied
     from telenano.analysis.fig12 import SessionSeries as SessionSeries
     from telenano.analysis.figure_style import VERDICT_COLOURS as VERDICT_COLOURS
     from telenano.analysis.figure_style import FigureOptions as FigureOptions

@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from telenano.analysis.estimates import GREATEST_SHARE
 from telenano.analysis.intervals import student
 from telenano.numerics.least_squares import regression
 from telenano.sections.controller_section import KNOWN_LAWS, LAWS, ControllerConfig
@@ -55,8 +56,6 @@ _ALIKE_S = 0.5
 _TURNS = 3
 # least share of the variance of the hand's motion that its force explains, or the reverse [1]
 _TOGETHER = 0.8
-# A stiffness is known if half its interval is less than this share of it, or of the true stiffness [1].
-_KNOWN_TO = 0.3
 _TERMS = 5
 
 
@@ -157,7 +156,7 @@ def felt_over(hand: Series, tip: Series, hand_per_tip: float, facts: SampleFacts
         return TIP_UNCLEAR
     if max(felt.force_share, felt.way_share) < _TOGETHER:
         return OTHER_CAUSE
-    if felt.half > _KNOWN_TO * max(abs(felt.value), there[0]):
+    if felt.half > GREATEST_SHARE * max(abs(felt.value), there[0]):
         return NO_MOTION
     low, high = felt.value - felt.half, felt.value + felt.half
     # Motion of the hand from other causes than its force reduces the fitted slope.
@@ -169,7 +168,7 @@ def felt_over(hand: Series, tip: Series, hand_per_tip: float, facts: SampleFacts
 def _there(met: _Slope | None, hand_per_tip: float, facts: SampleFacts) -> tuple[float, float, float] | None:
     """Return the true stiffness at the hand, and its interval [N/m]; None if it is not known."""
     found = None
-    if met is not None and met.value > 0.0 and met.half < _KNOWN_TO * met.value:
+    if met is not None and met.value > 0.0 and met.half < GREATEST_SHARE * met.value:
         softer = SOFTER if facts.has_piezo else STIFFER
         ends = (1.0 - STIFFER) * (met.value - met.half), (met.value + met.half) / (1.0 - softer)
         found = hand_per_tip * met.value, hand_per_tip * ends[0], hand_per_tip * ends[1]

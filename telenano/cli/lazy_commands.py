@@ -282,6 +282,10 @@ MEANT = {
     "demo": "`telenano up fig12` runs the session of Fig. 12, and `telenano view --demo` shows a recorded one",
     "list": "`telenano scenario list` has the scenarios, `telenano law list` the laws, `telenano status --all` the"
     " rigs",
+    "laws": "`telenano law list` has the laws, and `telenano law show LAW` the parameters of one",
+    "scenarios": "`telenano scenario list` has the scenarios, and `telenano scenario show NAME` the keys of one",
+    "restart": "a node that ends is started again by `telenano up` itself; after Ctrl-C the same `telenano up` begins a"
+    " new session",
     "open": "`telenano view FILE` shows a recording",
     "plot": "`telenano report FILE --out DIR` draws the figure of a recording",
     "play": "`telenano view FILE` shows a recording, and `telenano replay FILE` sends it into a rig",
@@ -329,7 +333,7 @@ class OpenGroup(TyperGroup):
             ctx.fail(f"the command {last!r} is in the package {package}: {how_to_add_package(package)}")
         near = probably_meant(name, self.list_commands(ctx))
         # A variant of the name, such as its plural, is preferred to commands whose text only contains the word.
-        if not any(near == f"; did you mean {each}?" for each in (name[:-1], f"{name}s")):
+        if name in MEANT or not any(near == f"; did you mean {each}?" for each in (name[:-1], f"{name}s")):
             near = self._meant(ctx, name) or near
         if not near:
             near = f"; there are {', '.join(self._first(ctx))}"

@@ -1,6 +1,5 @@
 """Options and arguments that several commands share, and a function that makes a group of commands."""
 
-import os
 from pathlib import Path
 from typing import Annotated
 
@@ -141,11 +140,6 @@ def _known_style(text: str) -> str:
 
         FigureOptions.of(style=text)
     return text
-
-
-def processors() -> int:
-    """Return how many processors this process may use: the default of `--jobs`."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def table_formats(text: str) -> tuple[str, ...]:

@@ -29,6 +29,7 @@ from telenano.signals import interrupts
 from telenano.wire.errors import (
     ConfigError,
     ExistsError,
+    NoEstimateError,
     NoRecordingError,
     ReportError,
     TelenanoError,
@@ -58,9 +59,9 @@ def report_errors(as_json: bool, interrupted: str = "interrupted") -> Iterator[N
     try:
         yield
     except TelenanoError as error:
-        code = (
-            EXIT_BAD_CONFIGURATION if isinstance(error, ConfigError | NoRecordingError | ExistsError) else EXIT_FAILED
-        )
+        is_asked_wrongly = isinstance(error, ConfigError | NoRecordingError | ExistsError)
+        code = EXIT_BAD_CONFIGURATION if is_asked_wrongly else EXIT_FAILED
+        code = EXIT_INCOMPLETE if isinstance(error, NoEstimateError) else code
         fail(*error.lines, code=interrupts.exit_code() or code, as_json=as_json, **error.facts)
     except BrokenPipeError:
         raise  # the reader of the pipe had enough; `telenano.cli.app` exits with code 0
@@ -144,7 +145,12 @@ def usage_text(error: Any) -> str:
         if meant := behind or _MEANT.get(option, ""):
             message = f"{message.partition('; ')[0]}: {meant}"
     if path in (" up", " simulate") and (setting := re.search(r"extra argument\S* \(([\w.]+=\S*?)[ )]", message)):
-        message = f"{message}: a key of the scenario is changed by --set {setting[1]}"
+        from telenano.launcher.scenario_keys import keys_named
+
+        name, _, value = setting[1].partition("=")
+        # A word that is the last part of a key stands for it.
+        ends = [key for key in keys_named(name) if key.endswith(f".{name}")] if "." not in name else []
+        message = f"{message}: a key of the scenario is changed by --set {(ends or [name])[0]}={value}"
     return f"{message[:1].lower()}{message[1:]} (`telenano{path} --help` explains)"
 
 

@@ -42,7 +42,6 @@ SESSION_RULES = (
     Keys("--seeds", ", ".join((SEED, *SEEDS))),
     Keys("--sweep"),
     Void("--table", "whose sessions it compares", unless="--sweep, --seeds"),
-    Void("--jobs", "which is one session", unless="--sweep, --seeds"),
     Void("--overwrite", "the folder that it is about; without --out a session has a new one", unless="--out"),
 )
 # Options of the sweep itself, each with a value, which are not passed on to the sessions.

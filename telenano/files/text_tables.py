@@ -252,12 +252,22 @@ class TextTable(NamedTuple):
         )  # fmt: skip
 
 
+# A number with marks between its thousands and another mark before its decimals, as in 1.001,74 or 1,001.74.
+_GROUPED = re.compile(r"[+-]?\d{1,3}([.,])\d{3}(?:\1\d{3})*(?!\1)[.,]\d+(?:[eEdD][+-]?\d+)?")
+
+
+def _ungrouped(cell: str) -> str:
+    """Return a number without the marks between its thousands; another cell as it is."""
+    found = _GROUPED.fullmatch(cell.strip()) if len(cell) <= _LONGEST_NUMBER else None
+    return cell.replace(found[1], "") if found else cell
+
+
 def as_number(cell: str) -> float | None:
     """Return the number in a cell with a decimal point or comma, nan for a word of a missing value, None for others."""
     if "_" in cell or len(cell) > _LONGEST_NUMBER:
         return None
     if not _NUMBER.fullmatch(cell):
-        cell = cell.strip().strip('"').replace("\u2212", "-")
+        cell = _ungrouped(cell.strip().strip('"').replace("\u2212", "-"))
         if cell.lower() in _MISSING:
             return math.nan
         if not _NUMBER.fullmatch(cell):
@@ -288,6 +298,7 @@ class _Folding:
     def number(self, cell: str, line: int) -> float | None:
         value = as_number(cell)
         if value is not None:
+            cell = _ungrouped(cell)
             self.commas = self.commas or line * ("," in cell)
             self.points = self.points or line * ("." in cell)
             self.zeros = self.zeros or (cell[:1] == "0" and cell[1:].isdecimal())

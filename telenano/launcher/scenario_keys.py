@@ -177,8 +177,14 @@ def keys_named(word: str) -> list[str]:
     return []
 
 
-def value_at(document: Mapping[str, Any], key: str) -> Any:
-    """Return the value of a dotted key; ConfigError lists the known keys at the point where it is wrong."""
+def value_at(document: Mapping[str, Any], key: str, whole: str = "the scenario") -> Any:
+    """Return the value of a dotted key; ConfigError lists the known keys at the point where it is wrong.
+
+    Args:
+        document: The keys with their values.
+        key: The dotted key.
+        whole: What an error calls the document.
+    """
     value: Any = document
     seen: list[str] = []
     for part in key.split("."):
@@ -189,8 +195,8 @@ def value_at(document: Mapping[str, Any], key: str) -> Any:
         else:
             if isinstance(value, Mapping) or len(seen) < 2:
                 names = known_names(part, value if isinstance(value, Mapping) else document)
-                raise ConfigError(f"{key}: {'.'.join(seen) or 'the scenario'} has no key {part}; {names}")
-            names = known_names(part, value_at(document, ".".join(seen[:-1])))
+                raise ConfigError(f"{key}: {'.'.join(seen) or whole} has no key {part}; {names}")
+            names = known_names(part, value_at(document, ".".join(seen[:-1]), whole))
             raise ConfigError(f"{key}: {'.'.join(seen)} is {value!r} and has no keys; {names} in {'.'.join(seen[:-1])}")
         seen.append(part)
     return value

@@ -58,6 +58,8 @@ from telenano.wire.nodes import site_of
 
 END_OF_TIME = 2**64
 # A file that ended for this reason is followed by the next one without a pause.
+# The uncompressed data of a recording whose records are found once; a longer one is read anew each time [bytes].
+_MOST_KEPT = 32 << 20
 _PLANNED_END = "split"
 # Most bytes of a piece that has several chunks.
 _LARGEST_PIECE = 16 << 20
@@ -81,6 +83,10 @@ class Recording(RecordedFields):
     def __init__(self, path: str | Path) -> None:
         """Scan the structure of a file; raise RecordingError if it is missing, unreadable or not MCAP."""
         self.path, self.left_out = Path(path), LeftOut()
+        # The records of the blocks that were read twice or more, by the place of a block in the file.
+        self._sorted: dict[int, SortedBlock] = {}
+        self._read: set[int] = set()
+        self._kept_bytes = 0
         try:
             # The file stays open, so that a replacement on disk does not affect this object.
             file = open_regular(self.path)
@@ -300,12 +306,78 @@ class Recording(RecordedFields):
                 if report is None and not self._layout.may_have(block, channels.selected, channels.known.keys()):
                     continue
                 try:
-                    content = self._content(data, block)
+                    found = self._sorted.get(block.offset) or self._content(data, block)
                 except DamagedBlockError as error:
                     if report is not None:
                         report(Damage(block.offset, block.data_end - block.offset, str(error)))
                     continue
+                if block.offset not in self._read:
+                    self._read.add(block.offset)
+                elif isinstance(found, bytes) and block.whole and self._kept_bytes + len(found) <= _MOST_KEPT:
+                    found = SortedBlock.of(found) or found
+                    if isinstance(found, SortedBlock):
+                        self._kept_bytes += len(found.content)
+                        self._sorted[block.offset] = found
+                if isinstance(found, SortedBlock) and found.define(channels):
+                    yield from found.messages(channels.selected, message_type, first_ns, after_ns)
+                    continue
+                content = found.content if isinstance(found, SortedBlock) else found
                 yield from _walked(block, content, channels, message_type, report, first_ns, after_ns)
+
+
+class SortedBlock(NamedTuple):
+    """The records of a whole block, found once for all readings of a recording.
+
+    `rows` has channel number, times, number, begin and end of the payload of each message, in order; `of_channel` the
+    same by channel; `definitions` the schemas and channels, each of them before the messages of its channel.
+    """
+
+    content: bytes
+    rows: list[tuple[int, int, int, int, int, int]]
+    of_channel: dict[int, list[tuple[int, int, int, int, int, int]]]
+    definitions: list[tuple[int, bytes]]
+
+    @classmethod
+    def of(cls, content: bytes) -> "SortedBlock | None":
+        """Return the records of a block; None if they have to be read one by one, because something is odd."""
+        rows: list[tuple[int, int, int, int, int, int]] = []
+        of_channel: dict[int, list[tuple[int, int, int, int, int, int]]] = {}
+        definitions: dict[tuple[int, bytes], bytes] = {}
+        size, end, unpack_head = MESSAGE_HEAD.size, 0, MESSAGE_HEAD.unpack_from
+        for opcode, start, end in records_of(content):
+            if opcode == Opcode.MESSAGE:
+                number, seq, log_ns, publish_ns = unpack_head(content, start)
+                row = (number, log_ns, publish_ns, seq, start + size, end)
+                rows.append(row)
+                of_channel.setdefault(number, []).append(row)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                body = content[start:end]
+                known = definitions.setdefault((opcode, body[:2]), body)
+                late = opcode == Opcode.CHANNEL and int.from_bytes(body[:2], "little") in of_channel
+                if known != body or (late and known is body):
+                    return None
+        if end != len(content):
+            return None
+        return cls(content, rows, of_channel, [(opcode, body) for (opcode, _), body in definitions.items()])
+
+    def define(self, channels: "_ChannelTable[Any]") -> bool:
+        """Add the channels of the block to a table; return whether it then has the channel of every message."""
+        for opcode, body in self.definitions:
+            channels.read(opcode, body)
+        return self.of_channel.keys() <= channels.known.keys()
+
+    def messages(
+        self, selected: Mapping[int, _ChannelT], message_type: type[_MessageT], first_ns: int, after_ns: int
+    ) -> list[_MessageT]:
+        """Return the messages of the selected channels with `first_ns` <= `log_ns` < `after_ns` [ns], in order."""
+        chosen = [number for number in self.of_channel if number in selected]
+        rows = self.of_channel[chosen[0]] if len(chosen) == 1 else self.rows if chosen else []
+        content = self.content
+        return [
+            _new(message_type, (selected[number], log_ns, publish_ns, seq, content[start:end]))
+            for number, log_ns, publish_ns, seq, start, end in rows
+            if number in selected and first_ns <= log_ns < after_ns
+        ]
 
 
 def _walked(

@@ -79,8 +79,6 @@ class _OwnSample(Settings):
     def _size_where_needed(self) -> Self:
         if self.map is not None and (others := self.model_fields_set - {"map"}):
             raise ValueError(f"map: {self.map} describes the whole sample; leave out {', '.join(sorted(others))}")
-        if self.is_file and self.size_m is not None and Path(self.name).suffix.lower() != ".npy":
-            raise ValueError(f"size_m: {self.name} states its size itself; leave size_m out")
         if not self.is_file and "level" in self.model_fields_set:
             raise ValueError(f"level: is for files; {self.name} has heights of its own")
         if not self.is_file and self.channel is not None:

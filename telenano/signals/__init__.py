@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 from telenano.lazy_exports import face
 
 if TYPE_CHECKING:
+    from telenano.signals.children import in_processes as in_processes
     from telenano.signals.children import run as run
-    from telenano.signals.children import spawning_workers as spawning_workers
     from telenano.signals.children import start as start
     from telenano.signals.interrupts import finishing as finishing
     from telenano.signals.interrupts import held as held

@@ -11,11 +11,14 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 from telenano.signals.interrupts import kept_from_children
+
+Task = TypeVar("Task")
+Made = TypeVar("Made")
 
 _SAFE_PATH = "PYTHONSAFEPATH"
 _PR_SET_PDEATHSIG = 1
@@ -53,16 +56,58 @@ def become(command: Sequence[str]) -> NoReturn:
 def spawning_workers() -> Iterator[None]:
     """Set PYTHONSAFEPATH while `multiprocessing` spawns workers, because it starts Python in its own way.
 
-    SIGINT is blocked in the workers, because the process with the pool ends them.
+    SIGINT is blocked in the workers, because the process with the pool ends them. A program that starts them is not run
+    again in each: they call functions of the library alone, so that a script needs no guard of its main part.
     """
     before = os.environ.get(_SAFE_PATH)
     os.environ[_SAFE_PATH] = "1"
+    program = vars(sys.modules["__main__"])
+    names: dict[str, Any] = {name: program[name] for name in ("__file__", "__spec__") if name in program}
     try:
+        program.pop("__file__", None)
+        program["__spec__"] = None
         with kept_from_children():
             yield
     finally:
+        program.update(names)
         if not before:
             del os.environ[_SAFE_PATH]
+
+
+def in_processes(
+    jobs: int, function: Callable[[Task], Made], tasks: Sequence[Task]
+) -> Generator[tuple[int, Made], None, None]:
+    """Call a function of the library with each task in processes of this machine; yield place and result as they come.
+
+    The processes end when the reader of their results ends, at once if that is by an exception.
+    """
+    # Imported here, because they take a tenth of the start of a process, and few have workers.
+    from concurrent.futures import ProcessPoolExecutor, as_completed
+    from multiprocessing import active_children, get_context
+
+    # The workers are spawned, not forked, because the parent has threads of its own by now. The pool starts a further
+    # process itself, which tracks its semaphores.
+    others = set(active_children())
+    with spawning_workers():
+        pool = ProcessPoolExecutor(min(jobs, len(tasks)), get_context("spawn"))
+    try:
+        with spawning_workers():
+            places = {pool.submit(function, task): place for place, task in enumerate(tasks)}
+        for future in as_completed(places):
+            yield places[future], future.result()
+    except BaseException:
+        # The work in progress is useless now, and may take seconds.
+        pool.shutdown(wait=False, cancel_futures=True)
+        for process in set(active_children()) - others:
+            process.terminate()
+        raise
+    finally:
+        pool.shutdown()
+
+
+def processors() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def die_with_parent(signal_number: int) -> None:

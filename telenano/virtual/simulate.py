@@ -45,9 +45,7 @@ def _says_what_is_meant(function: Callable[Given, Result]) -> Callable[Given, Re
 
     @wraps(function)
     def called(*args: Given.args, **given: Given.kwargs) -> Result:
-        for name in given:
-            if name not in signature.parameters:
-                raise TypeError(f"telenano.simulate: {_wrong_argument(name, given[name], _abouts(function))}")
+        check_arguments(given)
         positional = [one.name for one in signature.parameters.values() if one.kind is one.POSITIONAL_OR_KEYWORD]
         if len(args) > len(positional):
             raise TypeError(
@@ -213,6 +211,14 @@ def simulate(
     if report:
         report_of(outcome, plan, lambda text: None)
     return RecordedSession(outcome.recordings)
+
+
+def check_arguments(given: Mapping[str, object]) -> None:
+    """Raise TypeError, with the name that was probably meant, for the first of some names that `simulate` lacks."""
+    abouts = _abouts(simulate)
+    for name, value in given.items():
+        if name not in abouts:
+            raise TypeError(f"telenano.simulate: {_wrong_argument(name, value, abouts)}")
 
 
 def _flags(tree: Mapping[str, Any], stem: str = "") -> Iterator[str]:

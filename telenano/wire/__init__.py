@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from telenano.wire.codec import read_header as read_header
     from telenano.wire.errors import ConfigError as ConfigError
     from telenano.wire.errors import EndpointError as EndpointError
+    from telenano.wire.errors import NoEstimateError as NoEstimateError
     from telenano.wire.errors import RecordingError as RecordingError
     from telenano.wire.errors import RefusedError as RefusedError
     from telenano.wire.errors import RigError as RigError

@@ -116,6 +116,10 @@ class LockstepError(ConfigError):
     """A scenario has a part of which a session in lockstep has no model; the nodes can run it."""
 
 
+class NoEstimateError(ConfigError):
+    """A measurement does not tell the value that was asked for; the text says why, and what would tell it."""
+
+
 class EndpointError(TelenanoError):
     """A socket cannot be bound or connected; the text names the endpoint and, if known, the process that holds it."""
 

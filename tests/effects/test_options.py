@@ -55,7 +55,7 @@ def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.endurance("takes 20 min")
-@pytest.mark.timeout(1200)
+@pytest.mark.timeout(1800)
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_option_has_an_effect(command: str, tmp_path: Path) -> None:
     found = without_effect([row for row in OPTIONS if row[0] == command], tmp_path)
@@ -85,7 +85,7 @@ def drawn() -> list[tuple[str, Any]]:
 
 
 @pytest.mark.check("takes 30 s")
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(1800)
 def test_a_tenth_of_the_options_and_those_that_a_change_touches_have_an_effect(tmp_path: Path) -> None:
     found = without_effect(drawn(), tmp_path)
     assert not found, f"{', '.join(found)}: {WHAT_TO_DO}"

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from telenano.analysis import denied
 from telenano.wire import TelenanoError
 
 Array = npt.NDArray[np.float64]
@@ -50,8 +51,8 @@ def fit_line(what: str, counts: Sequence[float], errors: Sequence[float], values
     pairs = list(zip(values, counts, strict=True))
     slope = sum((value - mean_value) * (count - mean_count) for value, count in pairs) / spread
     span = abs(slope) * (max(values) - min(values))
-    if span <= 3.0 * max(errors) or span == 0.0:
-        raise CalibrationError(f"{what}: the counts differ by {span:.3g} only, which is within their noise")
+    if reason := denied("the span of the counts", span, max(errors)):
+        raise CalibrationError(f"{what}: {reason}: move further between the points")
     residuals = [count - mean_count - slope * (value - mean_value) for value, count in pairs]
     worst, value = max(zip(map(abs, residuals), values, strict=True))
     if worst > MOST_RESIDUAL * span:
@@ -62,6 +63,8 @@ def fit_line(what: str, counts: Sequence[float], errors: Sequence[float], values
     scatter = math.sqrt(sum(residual**2 for residual in residuals) / (number - 2) / spread) if number > 2 else 0.0
     noise = max(errors) / math.sqrt(spread)
     scale = 1.0 / slope
+    if reason := denied("the scale", abs(scale), max(scatter, noise) * scale**2):
+        raise CalibrationError(f"{what}: {reason}: take more points, further apart")
     return LineFit(scale, mean_count - slope * mean_value, max(scatter, noise) * scale**2)
 
 

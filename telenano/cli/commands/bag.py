@@ -24,7 +24,7 @@ from telenano.cli.options import (
 )
 from telenano.cli.output import print_answer, print_document, print_json, report_errors
 from telenano.recording.channel_filter import Selection
-from telenano.wire.errors import RecordingError
+from telenano.wire.errors import ConfigError, RecordingError
 
 if TYPE_CHECKING:
     pass
@@ -35,8 +35,26 @@ _LONG_BYTES = 16 << 20
 
 app = command_group()
 
-FileArgument = Annotated[Path, typer.Argument(metavar="FILE", help="Recording (.mcap).")]
-FilesArgument = Annotated[list[Path], typer.Argument(metavar="FILE", help="Recordings (.mcap).")]
+
+def _file(path: Path) -> Path:
+    """Return the recording that a path names: itself, or the one of a session's folder; ConfigError for several."""
+    parts = _files([path])
+    if len(parts) > 1:
+        raise ConfigError(f"{path}: has several recordings, give one of {', '.join(part.name for part in parts)}")
+    return parts[0]
+
+
+def _files(paths: list[Path]) -> list[Path]:
+    """Return the recordings that paths name: themselves, or all parts of the recording of a session's folder."""
+    from telenano.recording.multi_file import recordings_of
+
+    return [part for path in paths for part in recordings_of(path)]
+
+
+FileArgument = Annotated[Path, typer.Argument(metavar="FILE|DIR", callback=_file, help="Recording, or its folder.")]
+FilesArgument = Annotated[
+    list[Path], typer.Argument(metavar="FILE|DIR", callback=_files, help="Recordings, or the folder of a session.")
+]
 OutOption = Annotated[Path, typer.Option("--out", metavar="PATH", help="File or folder to make, never overwritten.")]
 NodesOption = Annotated[
     list[str] | None, typer.Option("--nodes", metavar="NODE", help="Only messages of these nodes (repeatable).")

@@ -23,7 +23,6 @@ from telenano.cli.options import (
     SeedsOption,
     StyleOption,
     TableOption,
-    processors,
     table_formats,
 )
 from telenano.cli.output import (
@@ -41,6 +40,7 @@ from telenano.launcher.run import Outcome, default_folder, report_of, reserved_f
 from telenano.settings.config import permit_code
 from telenano.settings.plugins import known_problems
 from telenano.settings.scenario import SEEDS
+from telenano.signals.children import processors
 from telenano.virtual.request import SimulateRequest, plan_of, run_plan
 from telenano.wire.errors import ConfigError, ReportError
 
@@ -48,6 +48,7 @@ from telenano.wire.errors import ConfigError, ReportError
 @rules(
     *SESSION_RULES,
     Keys("--seed", ", ".join((SEED, *SEEDS))),
+    Void("--jobs", "which is one session", unless="--sweep, --seeds"),
     Keys("--both-sites", "recorder.far"),
     Void("--format, --style", "which leaves out the figure", beside="--no-report", unless="--sweep, --seeds"),
 )

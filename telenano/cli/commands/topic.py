@@ -95,7 +95,7 @@ def _chosen(fields: dict[str, Any], names: list[str] | None) -> dict[str, Any]:
     """Return the named fields, `position_m.2` for a component; ConfigError lists the fields that exist."""
     if not names:
         return fields
-    return {name: value_at(fields, name) for name in names}
+    return {name: value_at(fields, name, "the message") for name in names}
 
 
 @app.command()

@@ -113,6 +113,15 @@ def test_an_array_needs_its_side_and_must_be_square_finite_and_of_numbers(tmp_pa
             read_surface(path, size_m=70e-9)
 
 
+def test_a_matrix_of_heights_without_a_head_is_a_sample_with_its_size(tmp_path):
+    path = tmp_path / "heights.txt"
+    np.savetxt(path, HEIGHTS)
+    section = SampleConfig(name=str(path), size_m=70e-9)
+    assert section.build().width_m == pytest.approx(70e-9, rel=1e-12)
+    with pytest.raises(ConfigError, match="give its width"):
+        SampleConfig(name=str(path)).build()
+
+
 def test_files_of_other_kinds_and_sizes_that_contradict_are_refused(gsf, tmp_path):
     with pytest.raises(ConfigError, match="states its size itself"):
         read_surface(gsf, size_m=1e-7)

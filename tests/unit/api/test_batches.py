@@ -2,6 +2,8 @@
 
 import inspect
 import pickle
+import subprocess
+import sys
 from collections.abc import Callable
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from importlib import import_module
@@ -84,6 +86,50 @@ def test_dask_gives_the_bits_of_a_session_alone(alone: dict[int, dict[str, bytes
     import_module("dask.multiprocessing")
     calls = [dask.delayed(telenano.simulate)("fig12", seed=seed, **ASKED) for seed in (1, 2)]
     assert list(map(bits, dask.compute(*calls, scheduler="processes", num_workers=2))) == list(alone.values())
+
+
+# A script as people write them, without a guard of its main part.
+SCRIPT = """
+import telenano
+
+frame = telenano.simulate_all(law=["wave", "waves"], seed=[1, 2], duration_s=0.3, jobs=2)
+print(frame[["law", "seed", "session_verdict", "hold"]].to_csv(index=False))
+"""
+
+
+@pytest.mark.check("starts processes")
+def test_a_script_has_one_table_of_many_sessions_in_their_order(tmp_path: Path) -> None:
+    (tmp_path / "script.py").write_text(SCRIPT)
+    done = subprocess.run(
+        [sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, timeout=240, check=False
+    )
+    assert done.stdout.split() == ["law,seed,session_verdict,hold", *(
+        f"{law},{seed},{verdict}," for law, verdict in (("wave", "cannot_say"), ("waves", "")) for seed in (1, 2)
+    )], done.stderr  # fmt: skip
+
+
+@pytest.mark.check("starts processes")
+def test_a_table_has_a_column_for_each_setting_that_varies_and_the_holds_of_each_session() -> None:
+    settings = [{"controller.virtual_impedance.force_gain": gain} for gain in (5.0, 10.0)]
+    frame = telenano.simulate_all(settings=settings, duration_s=3.0, progress=False)
+    assert sorted(set(frame["controller.virtual_impedance.force_gain"])) == [5.0, 10.0]
+    alone = telenano.simulate(settings=settings[1], duration_s=3.0)
+    rows = frame[frame["controller.virtual_impedance.force_gain"] == 10.0]
+    assert rows["reason"].tolist() == [hold.reason for hold in alone.holds]
+    assert len(rows)
+
+
+def test_what_no_session_can_be_simulated_with_is_the_error_of_the_first() -> None:
+    with pytest.raises(ConfigError, match="law: is an empty list"):
+        telenano.simulate_all(law=[])
+    with pytest.raises(TypeError, match="did you mean law"):
+        telenano.simulate_all(laws=["wave"])
+
+
+@pytest.mark.check("starts processes")
+def test_the_error_of_the_first_is_raised_where_none_can_be_simulated() -> None:
+    with pytest.raises(ConfigError, match=r"got 'waves'; did you mean wave\?"):
+        telenano.simulate_all(law=["waves", "wafe"], jobs=2)
 
 
 def test_a_recording_is_opened_again_where_it_arrives(

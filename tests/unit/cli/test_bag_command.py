@@ -16,6 +16,7 @@ from telenano.cli.output import EXIT_INCOMPLETE, closing_lines, fail_with_summar
 from telenano.cli.tables import summary_tables
 from telenano.recording.reader import Recording
 from telenano.testing import invoke
+from telenano.testing import run as run_whole
 from telenano.wire.errors import ReportError
 
 MakeFile = Callable[..., Path]
@@ -226,3 +227,17 @@ def test_a_report_that_cannot_be_written_shows_its_summary_all_the_same(capsys: 
     out, err = capsys.readouterr()
     assert "fig12" in out
     assert err == f"telenano: {error}\n"
+
+
+def test_the_folder_of_a_session_stands_for_its_recording(recording_of: Callable[[str], Path], tmp_path: Path) -> None:
+    (tmp_path / "session.mcap").symlink_to(recording_of("wave").resolve())
+    (tmp_path / "summary.json").write_text("{}")
+    assert run_whole("bag", "info", tmp_path, "--json") == run_whole("bag", "info", tmp_path / "session.mcap", "--json")
+    code, _, err = run_whole("bag", "verify", tmp_path)
+    assert code == 0, err
+    (tmp_path / "session_2.mcap").symlink_to(recording_of("wave").resolve())
+    code, _, err = run_whole("bag", "info", tmp_path)
+    assert (code, "has several recordings, give one of session.mcap, session_2.mcap" in " ".join(err.split())) == (
+        2,
+        True,
+    )

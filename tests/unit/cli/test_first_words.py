@@ -54,6 +54,10 @@ def test_the_version_has_a_short_option() -> None:
         ("up fig12 --round-trip-ms 40kg", "is not a valid float"),
         ("simulate fig12 --duration 5nm", "is not a valid float"),
         ("stop", "telenano estop"),
+        ("up fig12 law=wave", "is changed by --set controller.law=wave"),
+        ("laws", "telenano law list"),
+        ("scenarios", "telenano scenario list"),
+        ("restart", "begins a new session"),
         ("demo", "telenano up fig12"),
         ("report session.mcap", "session.mcap: cannot be read"),
         # a word that a group of commands has
@@ -93,7 +97,6 @@ def test_the_version_has_a_short_option() -> None:
         ("link list", "there are show"),
         ("study list", "there are "),
         ("law info wave", "there are list, show"),
-        ("laws", "did you mean law?"),
         ("zzz", "there are up, simulate"),
         ("bag zzz", "there are info"),
         ("up fig12 --latency 40", "did you mean --round-trip-ms?"),

@@ -144,3 +144,28 @@ def test_a_word_among_numbers_is_refused_where_its_column_is_used() -> None:
 )
 def test_what_is_no_unit_is_none(text: str) -> None:
     assert unit_of(text) is None
+
+
+@pytest.mark.parametrize(
+    ("text", "heights"),
+    [
+        (
+            "Höhe [nm];Kraft [nN]\n1.001,74;0,0023\n1.000,5;0,01\n999,25;0,2\n-1.234.567,5;1,0\n",
+            [1001.74, 1000.5, 999.25],
+        ),
+        (
+            "height [nm]\tforce [nN]\n1,001.74\t0.0023\n1,000.5\t0.01\n999.25\t0.2\n12.0\t1.0\n",
+            [1001.74, 1000.5, 999.25],
+        ),
+    ],
+)
+def test_marks_between_thousands_are_none_of_a_decimal(text: str, heights: list[float]) -> None:
+    table = TextTable.parse(text.encode(), "t.txt")
+    assert table.columns[0].values[:3].tolist() == heights
+    assert table.columns[0].unit == "nm"
+    assert len(table.head) == 1
+
+
+def test_an_integer_with_a_mark_of_thousands_beside_decimal_commas_is_refused_with_both_lines() -> None:
+    with pytest.raises(ConfigError, match="nothing between thousands"):
+        TextTable.parse(b"a;b\n1,5;2,5\n1.001;2,5\n2,5;3,5\n", "t.txt")

@@ -97,8 +97,8 @@ def starts_in(text: str) -> list[int]:
 
 def uses_children(path: Path) -> bool:
     """Whether a file of the core or of a package starts a process by `children`."""
-    by_module = r"\bchildren\.(start|run|become|spawning_workers)\("
-    by_face = r"^ *from telenano\.signals import .*\b(start|run|spawning_workers)\b"
+    by_module = r"\bchildren\.(start|run|become|spawning_workers|in_processes)\("
+    by_face = r"^ *from telenano\.signals import .*\b(start|run|in_processes)\b"
     return bool(re.search(f"{by_module}|{by_face}", path.read_text(), re.MULTILINE))
 
 
@@ -250,20 +250,19 @@ def by_watched_reader(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
 
 def by_sweep(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
     # This program is started as a console script is: its own path is safe, and no flag of it says so to its workers.
-    safe = "pass" if children.spawning_workers is SAFE else "sweep.spawning_workers = contextlib.nullcontext"
+    safe = "pass" if children.spawning_workers is SAFE else "children.spawning_workers = contextlib.nullcontext"
     code = (
         "import contextlib, os\n"
-        "from telenano_lab.studies.loops import sweep\n"
+        "from telenano.signals import children\n"
         "if __name__ == '__main__':\n"
         f"    {safe}\n"
-        "    kind = sweep.Kind(str, abs, dict)\n"
-        "    print(list(sweep._on_processes(1, [[-7]], kind)), 'PYTHONSAFEPATH' in os.environ)\n"
+        "    print(list(children.in_processes(1, abs, [-7])), 'PYTHONSAFEPATH' in os.environ)\n"
     )
     script = folder.parent / "bin" / "script.py"
     script.parent.mkdir()
     script.write_text(code)
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)
-    return done.stdout.strip() == "[[7]] False" and not done.stderr
+    return done.stdout.strip() == "[(0, 7)] False" and not done.stderr
 
 
 def by_experiment(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
@@ -311,6 +310,7 @@ STARTED: dict[str, tuple[Start, ...] | str] = {
     "telenano/launcher/fan_out.py": (by_fan_out,),
     "telenano/launcher/processes.py": (by_launcher,),
     "telenano/recording/provenance.py": "git",
+    "telenano/virtual/simulate_all.py": "its workers are those of a sweep",
     "telenano/files/limited_child.py": (by_reader, by_watched_reader),
     "telenano/cli/commands/node.py": (by_node_command,),
     "telenano/doctor/checks.py": "Python with -I",

@@ -28,7 +28,7 @@ def test_line_gives_scale_zero_and_standard_error() -> None:
     ("counts", "values", "text"),
     [
         ([1.0, 2.0], [0.1, 0.1], "two different values"),
-        ([100.0, 101.0], [0.0, 0.1], "within their noise"),
+        ([100.0, 101.0], [0.0, 0.1], "no estimate|nothing tells"),
         ([0.0, 600.0, 1000.0], [0.0, 0.5, 1.0], "the point at 0.5 is 6.7% of the span off the line"),
     ],
 )

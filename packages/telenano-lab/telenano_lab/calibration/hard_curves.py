@@ -17,9 +17,10 @@ import numpy.typing as npt
 from scipy import special
 from telenano_devices.line_fit import regressed
 
+from telenano.analysis import denied
 from telenano.files import Column, Part, TextTable, orientation_of, parts_of, role_of
 from telenano.settings import read_by_package
-from telenano.wire import ConfigError
+from telenano.wire import ConfigError, NoEstimateError
 
 Array = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -317,8 +318,8 @@ def _line_of(towards: Array, signal: Array, part: Part, low: float, high: float)
         chosen = (predicted >= low) & (predicted <= high)
         _require(int(chosen.sum()), low, high)
     slope, error, scatter = (span * value for value in regressed(x[chosen], shares[chosen]))
-    if not slope > 3.0 * error:
-        raise ConfigError("the voltage does not follow the way there: this is not a curve on a hard sample")
+    if reason := denied("the volts of a metre", slope, error, "V/m"):
+        raise NoEstimateError(f"{reason}: the voltage does not follow the way there, as on a hard sample it does")
     rows = np.zeros(len(towards), dtype=bool)
     rows[part.rows] = chosen
     return _judged(_Line(slope, error, scatter, rows, 1.0, ()), x[chosen], v[chosen])

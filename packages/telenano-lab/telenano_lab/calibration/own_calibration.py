@@ -14,6 +14,7 @@ Sader, J. Appl. Phys. 84 (1998) 64). It needs no sensitivity.
 """
 
 import math
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,14 +22,15 @@ import numpy as np
 import numpy.typing as npt
 from scipy import constants, ndimage
 
+from telenano.analysis import denied
 from telenano.files import TextTable
-from telenano.wire import ConfigError
+from telenano.wire import ConfigError, NoEstimateError
 from telenano_lab.calibration.hard_curves import Sensitivity as Sensitivity
 from telenano_lab.calibration.hard_curves import curve_of as curve_of
 from telenano_lab.calibration.hard_curves import require_usual as require_usual
 from telenano_lab.calibration.hard_curves import sensitivities_of_file as sensitivities_of_file
 from telenano_lab.calibration.hard_curves import sensitivity_of_curve as sensitivity_of_curve
-from telenano_lab.calibration.resonance import WIDENED, Resonance, fit_spectrum, periodogram
+from telenano_lab.calibration.resonance import OF_A_LIQUID, WIDENED, Resonance, fit_spectrum, periodogram
 from telenano_lab.calibration.spectrum_files import TEXTS as TEXTS
 from telenano_lab.calibration.spectrum_files import Spectrum as Spectrum
 from telenano_lab.calibration.spectrum_files import spectrum_of as spectrum_of
@@ -57,15 +59,22 @@ _STIFFNESS = (1e-5, 1e7)  # [N/m]
 # Plausible resonance, from large levers to the small ones of fast scanning, and needles and forks of quartz.
 _RESONANCE_HZ = (500.0, 1e7)
 # Plausible Q, from levers in honey-like liquids to those in ultra-high vacuum at 4 K.
-_QUALITY = (0.6, 3e6)
+_QUALITY = (0.2, 3e6)
 # Plausible effective mass k / w0^2: 0.1 N/m at 1.5 MHz is 1e-15 kg, a fork of quartz 1e-7 kg.
 _MASS_KG = (1e-16, 1e-5)
 # Two values agree within this number of standard errors, as 95 in 100 equal values do.
 _WITHIN = 1.96
 # A resonance narrower than this number of lines is remarked on.
 _FEW_ACROSS = 2.0
+# The second mode of a rectangular lever lies at this multiple of the first one.
+_SECOND_OVER_FIRST = 6.27
 # Nominal sizes of a lever make a stiffness wrong by less than this factor; a greater one means a wrong unit.
 _FARTHEST = 4.0
+# What helps where a spectrum tells no stiffness.
+_WOULD_TELL = (
+    "What helps: a finer spectrum of more averages, from a hundredth of the resonance to ten times it; in a liquid"
+    " rather the spectrum in air, whose peak is narrow, as the stiffness is the same"
+)
 
 
 class Stiffness(NamedTuple):
@@ -192,26 +201,32 @@ def _stiffness(known: Thermal, lines: Array, power: Array, rate_hz: float, avera
         start = (float(np.sum(one[1:] * np.diff(lines))), peak_hz, quality)
         if not starts or all(abs(math.log(start[1] / other[1])) > 0.5 / start[2] for other in starts):
             starts.append(start)
+    wide = _starts_without_peak(lines, power)
     try:
-        peak: Resonance = fit_spectrum(lines, power, rate_hz, starts, averages, known.window)
+        peak: Resonance = fit_spectrum(lines, power, rate_hz, starts, averages, known.window, wide)
     except ValueError as error:
-        raise ConfigError(str(error)) from error
+        raise NoEstimateError(f"{error}. {_WOULD_TELL}") from error
     k = known.factor * constants.Boltzmann * known.temperature_k / peak.mean_square_m2
     if not _STIFFNESS[0] <= k <= _STIFFNESS[1]:
         raise ConfigError(
             f"no cantilever has a stiffness of {k:.3g} N/m: check the unit of the density (--unit), or of a record, "
             "which is V, and the deflection per volt in nm/V (--sensitivity)"
         )
+    if reason := denied("the stiffness", k, k * peak.share, "N/m"):
+        raise NoEstimateError(f"{reason}: {_WOULD_TELL}")
     if not known.anyway:
         _ask_about(k, peak)
     deviation = k * math.hypot(peak.share, known.sensitivity_share)
     thermal = Stiffness(
         k, deviation, peak.resonance_hz, peak.quality, peak.floor_m2_per_hz, known.factor, averages=peak.averages,
         deviance_ratio=peak.deviance, residual_ratio=peak.mismatch, lines_left_out=peak.tones,
-        influence=peak.influence, band_hz=peak.band_hz, remarks=_remarks_on(peak, averages),
+        influence=peak.influence, band_hz=peak.band_hz, remarks=_remarks_on(peak, averages, float(lines[0])),
     )  # fmt: skip
     if known.width_m is None or known.length_m is None:
         return thermal
+    if peak.quality < OF_A_LIQUID:
+        said = f"Sader's method is that of a lever in air, and a Q of {peak.quality:.2g} is that of a liquid: left out"
+        return thermal._replace(agreement=said)
     by_sader, slopes = _sader_with_slopes(known.width_m, known.length_m, peak.resonance_hz, peak.quality)
     # By the thermal method log k is -log s^2 and a constant; s^2, f0 and Q come from the same spectrum.
     of_ratio = np.array([1.0, slopes["resonance"], 1.0])
@@ -247,7 +262,7 @@ def _ask_about(k: float, resonance: Resonance) -> None:
         raise ConfigError(f"no ordinary cantilever has {asked}; --anyway accepts it")
 
 
-def _remarks_on(resonance: Resonance, quality: float | None) -> tuple[str, ...]:
+def _remarks_on(resonance: Resonance, quality: float | None, first_hz: float) -> tuple[str, ...]:
     remarks = []
     if resonance.tones:
         remarks.append(
@@ -258,7 +273,7 @@ def _remarks_on(resonance: Resonance, quality: float | None) -> tuple[str, ...]:
     elif not 0.5 < resonance.deviance < 2.0:
         scatter = "more" if resonance.deviance > 1.0 else "less"
         remarks.append(f"its lines scatter {scatter} than those of {quality:g} averages: is --averages right?")
-    if resonance.chance < WIDENED:
+    if resonance.chance < WIDENED and not resonance.by_area:
         remarks.append(
             f"the standard error is widened {math.sqrt(resonance.mismatch):.2g} times by the residuals of the fit"
         )
@@ -271,6 +286,16 @@ def _remarks_on(resonance: Resonance, quality: float | None) -> tuple[str, ...]:
         remarks.append(
             f"the resonance is {resonance.lines_across:.2g} lines wide, of which the standard error has account: a"
             " finer spectrum makes it smaller"
+        )
+    if first_hz > resonance.resonance_hz / _SECOND_OVER_FIRST:
+        remarks.append(
+            f"the lines begin at {first_hz:.6g} Hz, so that this may be the second mode of a lever whose first one lies"
+            f" near {resonance.resonance_hz / _SECOND_OVER_FIRST:.6g} Hz: its stiffness is then not that of the lever"
+        )
+    if resonance.by_area:
+        remarks.append(
+            "no spring in white noise has this shape, as that of a lever that moves a liquid along: the area above the"
+            " floor is taken (equipartition)"
         )
     remarks.append(f"lines from {resonance.band_hz[0]:.6g} to {resonance.band_hz[1]:.6g} Hz are taken")
     return tuple(remarks)
@@ -321,6 +346,21 @@ def _peak(frequency_hz: Array, density: Array) -> tuple[float, float]:
     below = half[half < top]
     width = (places[above[0]] if len(above) else places[-1]) - (places[below[-1]] if len(below) else places[0])
     return float(places[top]), float(np.clip(places[top] / max(width, 1e-12), 0.6, 1e6))
+
+
+def _starts_without_peak(frequency_hz: Array, density: Array) -> list[tuple[float, float, float]]:
+    """Return two starts for a lever that hardly swings: mean square [m^2], resonance [Hz] and Q.
+
+    The power of an octave, f S, is greatest near the resonance, peak or not, and at half of it at a Q of 0.4. White
+    noise of the read-out would put it at the end, so the lowest density is taken off.
+    """
+    edges = np.unique(np.searchsorted(frequency_hz, np.geomspace(frequency_hz[0], frequency_hz[-1] * 1.01, 40)))
+    blocks = [slice(low, high) for low, high in pairwise(edges)]
+    places, means = (np.array([float(one[block].mean()) for block in blocks]) for one in (frequency_hz, density))
+    octaves = np.where(places > 0.01 * places[-1], places * (means - means.min()), 0.0)
+    area = float(np.sum((density[1:] - means.min()) * np.diff(frequency_hz)))
+    place = float(places[int(np.argmax(octaves))])
+    return [(max(area, 1e-300), times * place, 0.7) for times in (1.0, 2.0)]
 
 
 def hydrodynamic(reynolds: float) -> complex:

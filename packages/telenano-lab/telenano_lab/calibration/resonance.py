@@ -27,12 +27,20 @@ import numpy as np
 import numpy.typing as npt
 from scipy import signal, special
 
+from telenano.analysis import denied
+
 Array = npt.NDArray[np.float64]
 
 # Bands in units of the resonance; drift lies below, sampling effects above. Narrower ones are for spectra with more.
 BANDS = ((0.1, 3.0), (0.4, 1.8), (0.7, 1.4))
-# Least Q of a spring that swings, and greatest Q that is sought.
-QUALITIES = (0.5, 1e7)
+# Least and greatest Q that are sought; below one half the spring does not swing.
+QUALITIES = (0.15, 1e7)
+# Below this Q the band is centred anew on a resonance that is off its begin by more than this difference of logarithms.
+_WITHOUT_PEAK, _OFF_CENTRE = 1.5, 0.2
+# Below this Q a lever moves its liquid along, which no spring in white noise does; its area then counts. A line counts
+# up to this multiple of the fit, and the area may be smaller than that of the fit by this share.
+OF_A_LIQUID = 8.0
+_MOST_OF_MODEL, _OF_AREA = 5.0, 0.5
 # The fit ends after at most this number of steps.
 _MOST_STEPS = 60
 # The fit has ended when a step lowers its cost, minus the logarithm of the likelihood, by less than this.
@@ -52,8 +60,6 @@ _AS_A_TONE = 0.3
 _SAME_AREA = math.log(1.5)
 # Factors of the starting Q, of which a broadened peak tells least.
 _STARTS_OF_Q = (1.0, 4.0, 16.0)
-# The fit is refused if the standard error of log s^2 is not below this.
-_KNOWN_TO = 1.0
 # A line that thermal noise would reach with less than this probability is not thermal.
 NOT_THERMAL = 1e-6
 # More rejected lines than this number, and than this share, are not tones.
@@ -93,7 +99,8 @@ class Resonance(NamedTuple):
     `averages`. mismatch: mean square of the residuals of blocks of lines, relative to noise; chance: probability of as
     much by noise. tones: number of lines left out as not thermal. influence: shift of log s^2 by the most influential
     line, in standard errors. band_hz: band of the fitted lines. by_window: the part of `share` that comes from not
-    knowing the window. lines_across: width of the peak at half height, in lines.
+    knowing the window. lines_across: width of the peak at half height, in lines. by_area: whether the mean square is
+    the area of the lines, because no spring has their shape.
     """
 
     mean_square_m2: float
@@ -111,18 +118,38 @@ class Resonance(NamedTuple):
     band_hz: tuple[float, float]
     by_window: float = 0.0
     lines_across: float = math.inf
+    by_area: bool = False
+
+    @property
+    def is_peak(self) -> bool:
+        """Whether it is a peak that stands above its floor."""
+        return self.quality > _WITHOUT_PEAK and self.height_m2_per_hz > self.floor_m2_per_hz
+
+    @property
+    def height_m2_per_hz(self) -> float:
+        """The density at the resonance, without the floor [m^2/Hz]."""
+        return 2.0 * self.mean_square_m2 * self.quality / (math.pi * self.resonance_hz)
 
 
 def density(frequency_hz: Array, rate_hz: float, mean_square: float, resonance_hz: float, quality: float) -> Array:
     """Return the one-sided density [m^2/Hz] of a spring sampled at a rate [Hz], with the mean square s^2 [m^2]."""
-    omega, dt = 2.0 * math.pi * resonance_hz, 1.0 / rate_hz
+    dt = 1.0 / rate_hz
+    total = np.ones(np.shape(frequency_hz), dtype=complex)
+    for pole, share in _poles(resonance_hz, quality):
+        kept = np.exp(pole * dt)
+        for turn in (np.exp(2j * math.pi * dt * frequency_hz), np.exp(-2j * math.pi * dt * frequency_hz)):
+            total += share * kept * turn / (1.0 - kept * turn)
+    return np.asarray(2.0 * dt * mean_square * total.real)
+
+
+def _poles(resonance_hz: float, quality: float) -> tuple[tuple[complex, complex], ...]:
+    """Return the two poles [rad/s] of a spring, which are real where it does not swing, and their shares of R(0)."""
+    omega = 2.0 * math.pi * resonance_hz
     damping = omega / (2.0 * quality)
-    swing = omega * math.sqrt(max(1.0 - 0.25 / quality**2, 1e-12))
-    pole = np.exp(complex(-damping, swing) * dt)
-    turn = pole * np.exp(2j * math.pi * dt * frequency_hz)
-    back = pole * np.exp(-2j * math.pi * dt * frequency_hz)
-    series = complex(1.0, -damping / swing) * (turn / (1.0 - turn) + back / (1.0 - back))
-    return np.asarray(2.0 * dt * mean_square * (1.0 + series.real))
+    # At Q = 1/2 the poles are equal, and the shares of two that nearly are serve.
+    square = 1.0 - 0.25 / quality**2
+    swing = 1j * omega * np.sqrt(complex(square if abs(square) > 1e-9 else 1e-9))
+    return (-damping + swing, 0.5 * (1.0 + damping / swing)), (-damping - swing, 0.5 * (1.0 - damping / swing))
 
 
 def periodogram(values_m: Array, rate_hz: float) -> tuple[Array, Array]:
@@ -140,6 +167,7 @@ def fit_spectrum(
     starts: Sequence[tuple[float, float, float]],
     averages: float | None = 1.0,
     window: Any = None,
+    without_peak: Sequence[tuple[float, float, float]] = (),
 ) -> Resonance:
     """Fit the resonance to a one-sided spectrum, whose lines are means of some periodograms, and check the fit.
 
@@ -152,6 +180,7 @@ def fit_spectrum(
         power: The density there [m^2/Hz], shape (n,).
         rate_hz: The rate at which the deflection was sampled [Hz].
         starts: Starting values: mean square [m^2], resonance [Hz] and Q each.
+        without_peak: Further starting values, which are tried where those before lead to no peak.
         averages: Number of periodograms averaged per line; None estimates it from the scatter of the lines.
         window: That of the segments, as `scipy.signal.get_window` takes it; None tries the rectangle and Hann's.
 
@@ -164,18 +193,29 @@ def fit_spectrum(
     spacing = float(np.median(np.diff(frequency_hz)))
     for band in BANDS:
         fits: list[Resonance] = [] if best is None else [best]
-        for start in starts:
+        for start in [*starts, *without_peak]:
+            if start in without_peak and any(one.chance > _DOUBTFUL and one.is_peak for one in fits):
+                continue
             try:
-                fits.append(_judged_fit(frequency_hz, power, rate_hz, start, averages, band, window))
+                one = _judged_fit(frequency_hz, power, rate_hz, start, averages, band, window)
+                if one.quality < _WITHOUT_PEAK and abs(math.log(one.resonance_hz / start[1])) > _OFF_CENTRE:
+                    start = (one.mean_square_m2, one.resonance_hz, one.quality)
+                    one = _judged_fit(frequency_hz, power, rate_hz, start, averages, band, window)
+                fits.append(one)
             except ValueError as error:
                 reason = reason or error
         good = [one for one in fits if one.chance > _DOUBTFUL]
+        # White noise has one level: a bump on a higher one is a part of what another fit describes as a whole.
+        least = min((one.floor_m2_per_hz for one in good), default=0.0)
+        good = [one for one in good if one.height_m2_per_hz > min(one.floor_m2_per_hz, 3.0 * least)] or good
         wide = [one for one in good if one.resonance_hz / one.quality > _AS_A_TONE * spacing]
         best = min(wide or good or fits, key=lambda one: one.mismatch, default=None)
         if good:
             break
     if best is None:
         raise reason or ValueError("no resonance is known from these lines")
+    if best.chance < _IMPOSSIBLE and best.quality < OF_A_LIQUID:
+        return _by_area(best, frequency_hz, power, rate_hz)
     if best.chance < _IMPOSSIBLE:
         raise ValueError(
             f"no resonance describes these lines: near {best.resonance_hz:.6g} Hz the residuals are {best.mismatch:.3g}"
@@ -190,6 +230,23 @@ def fit_spectrum(
     # Residuals in excess of noise widen the errors.
     widened = best.mismatch if best.chance < WIDENED else 1.0
     return best._replace(share=best.share * math.sqrt(widened), covariance=best.covariance * widened)
+
+
+def _by_area(fit: Resonance, frequency_hz: Array, power: Array, rate_hz: float) -> Resonance:
+    """Return a fit whose mean square is the area of the fitted lines above the floor, and the model's beyond them.
+
+    A liquid moves along with a lever, and the more the slower: its spectrum has not the shape of a spring in white
+    noise, while its area is k_B T / k for every shape (equipartition). What differs between both areas is in the error.
+    """
+    inside = (frequency_hz >= fit.band_hz[0]) & (frequency_hz <= fit.band_hz[1])
+    lines = frequency_hz[inside]
+    model = density(lines, rate_hz, fit.mean_square_m2, fit.resonance_hz, fit.quality)
+    left = np.minimum(power[inside] - fit.floor_m2_per_hz, model * _MOST_OF_MODEL) - model
+    moved = float(np.sum(left * np.gradient(lines))) / fit.mean_square_m2
+    if not moved > -_OF_AREA:
+        raise ValueError("no resonance describes these lines, nor does their area tell one")
+    share = math.hypot(fit.share * math.sqrt(fit.mismatch), math.log1p(moved))
+    return fit._replace(mean_square_m2=fit.mean_square_m2 * (1.0 + moved), share=share, by_area=True)
 
 
 def _judged_fit(
@@ -238,22 +295,16 @@ def _judged_fit(
     s2, f0, q = np.exp(free[:3]).tolist()
     if band != BANDS[0] and q * (band[1] - band[0]) < _BAND_WIDTHS:
         raise ValueError(f"the peak near {f0:.6g} Hz is too wide for a narrower band")
-    for name, value, bounds, form in (
-        ("resonance", f0, (low, high), "{:.6g} Hz"),
-        ("Q", q, QUALITIES, "{:g}"),
-    ):
-        for bound in bounds:
-            if abs(math.log(value / bound)) < 1e-3 or not bounds[0] < value < bounds[1]:
-                raise ValueError(f"the fit of the resonance ends at the bound of its {name}, {form.format(bound)}")
+    reason = denied("the resonance", f0, 0.0, "Hz", ends=(low, high)) or denied("Q", q, 0.0, ends=QUALITIES)
+    if reason:
+        raise ValueError(reason)
     inverse = _inverse(slopes @ slopes.T)
     joined = _joined(ratio[kept] - 1.0)
     covariance = inverse[:3, :3] * joined / count
     # With a poorly determined mean square, rounding decides where the search ends.
-    if not 0.0 < covariance[0, 0] < _KNOWN_TO**2:
-        raise ValueError(
-            f"no resonance is known from these lines: the mean square near {f0:.6g} Hz has a standard error of more"
-            " than a factor of e; a tone of the electronics has such a peak"
-        )
+    error = math.sqrt(covariance[0, 0]) if covariance[0, 0] > 0.0 else math.inf
+    if reason := denied(f"the mean square near {f0:.6g} Hz", s2, s2 * error, "m^2"):
+        raise ValueError(f"{reason}; a tone of the electronics has such a peak")
     share = math.sqrt(float(covariance[0, 0])) * (1.0 if averages else _by_scatter(int(kept.sum())))
     # A lever that rings longer than a segment has the same energy in neighbouring segments: over a record of the
     # time T its mean square is known to sqrt(Q / pi f0 T), however little the lines elsewhere scatter.
@@ -448,11 +499,9 @@ def _inverse(information: Array) -> Array:
 
 def _seen_through(kernel: Array, places: npt.NDArray[np.int_], rate_hz: float, s2: float, f0: float, q: float) -> Array:
     """Return the mean periodogram at lines of a windowed segment; kernel: autocorrelation, shape (samples,)."""
-    omega, dt = 2.0 * math.pi * f0, 1.0 / rate_hz
-    damping = omega / (2.0 * q)
-    swing = omega * math.sqrt(max(1.0 - 0.25 / q**2, 1e-12))
+    dt = 1.0 / rate_hz
     steps = np.arange(len(kernel))
-    covariance = (complex(1.0, -damping / swing) * np.exp(complex(-damping, swing) * dt * steps)).real
+    covariance = sum((share * np.exp(pole * dt * steps)).real for pole, share in _poles(f0, q))
     lines = np.fft.fft(kernel * covariance).real[places % len(kernel)]
     return np.asarray(2.0 * dt * s2 * (2.0 * lines - 1.0))
 

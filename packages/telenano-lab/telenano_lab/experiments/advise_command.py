@@ -37,11 +37,12 @@ def advise(
                    "candidates": records}  # fmt: skip
         over_seeds = [candidate.over_seeds() for candidate in candidates]
         repeated = ("force over seeds", "peak over seeds") if over_seeds[0] else ()
-        head = ("law", "stable runs", "held in the benchmark", "force in a hold", "peak force", "free [N s/m]",
+        head = ("law", "stable runs", "held in the benchmark", "force in a hold", "peak force", "felt stiffness",
+                "hand and tip apart", "free [N s/m]",
                 "least energy [mJ]", "price", *repeated)  # fmt: skip
         rows = [
             (c.name, f"{r['stable_runs']}/{r['runs']}", _of_benchmark(r), r["force_share"], r["peak_share"],
-             r["free_n_s_per_m"], 1e3 * r["lowest_energy_j"], r["price"],
+             r["felt_share"], r["apart_share"], r["free_n_s_per_m"], 1e3 * r["lowest_energy_j"], r["price"],
              *([str(o["force_share"]), str(o["peak_share"])] if o else []))
             for c, r, o in zip(candidates, records, over_seeds, strict=True)
         ]  # fmt: skip

@@ -352,7 +352,13 @@ class Experiment(Settings):
         for name in self.pseudonyms:
             if not re.fullmatch(re.escape(self.pseudonym) + r"\d{1,6}", name):
                 raise ValueError(f"participants: {name!r} is not a pseudonym: it must be {self.pseudonym} and a number")
-        if len(set(self.pseudonyms)) < len(self.pseudonyms):
+        numbers: dict[int, str] = {}
+        for name in self.pseudonyms:
+            if (other := numbers.setdefault(int(name.removeprefix(self.pseudonym)), name)) != name:
+                raise ValueError(
+                    f"participants: {other} and {name} have one number, as one person typed in two ways has"
+                )
+        if len(numbers) < len(self.pseudonyms):
             raise ValueError("participants: each may appear once")
         names = [task.name for task in self.tasks]
         if unknown := sorted(set(self.words.tasks) - set(names)):

@@ -13,16 +13,17 @@ modulus and of the model.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from telenano.afm import MaugisDugdale, cohesive_stress_pa, force_n, reduced_modulus_pa
+from telenano.analysis import denied
 from telenano.numerics import compiled, compiled_form
 from telenano.sections import AfmConfig
-from telenano.wire import ConfigError
+from telenano.wire import ConfigError, NoEstimateError
 from telenano_lab.microscopy.correlated_noise import Noise, correlated_noise
 from telenano_lab.microscopy.force_curve import Curve
 
@@ -43,8 +44,6 @@ _LEFT_OUT = 0.03
 # Bounds of the fitted values.
 _RADII_M = (1e-10, 1e-4)
 _WORKS_J_PER_M2 = (1e-6, 10.0)
-# A fit this near to a bound, as a difference of logarithms, counts as ended there.
-_AT_BOUND = 0.02
 # Share of the retraction after the last jump, at its end, that is free of force; nearer, the tip is attracted.
 _FREE_SHARE = 0.6
 # The fit with the estimated noise ends after at most this number of steps.
@@ -154,6 +153,7 @@ def fit_adhesion(curve: Curve, config: AfmConfig, reduced_modulus: float | None 
         free, errors, noise = _with_noise(predicted, best.x, part, scale, refusal)
     except np.linalg.LinAlgError as error:
         raise ConfigError(refusal) from error
+    _refuse_bounds(free, "the curve does not tell radius and work of adhesion apart", errors[:2].tolist())
     radius, work = float(np.exp(free[0])), float(np.exp(free[1]))
     drawn = FittedContact(base, force, scale * (predicted(free) + noise.zero)[: len(base)])
     scatter = float(np.sqrt(np.mean((drawn.measured_n - drawn.model_n) ** 2)))
@@ -206,14 +206,12 @@ def _with_noise(
     return free, errors, noise
 
 
-def _refuse_bounds(free: Array, refusal: str) -> None:
-    """Raise ConfigError if a fit ended at a bound, and name that bound."""
-    found = (("radius", _RADII_M, "m"), ("work of adhesion", _WORKS_J_PER_M2, "J/m^2"))
-    for value, (name, bounds, unit) in zip(free[:2].tolist(), found, strict=True):
-        low, high = math.log(bounds[0]) + _AT_BOUND, math.log(bounds[1]) - _AT_BOUND
-        if not low < value < high:
-            bound = bounds[0] if value <= low else bounds[1]
-            raise ConfigError(f"{refusal} (the fit ends at the bound of the {name}, {bound:g} {unit})")
+def _refuse_bounds(free: Array, refusal: str, errors: Sequence[float] = (0.0, 0.0)) -> None:
+    """Raise NoEstimateError if radius or work ended at the end of its range, or its relative error denies it."""
+    found = (("the radius", _RADII_M, "m"), ("the work of adhesion", _WORKS_J_PER_M2, "J/m^2"))
+    for value, share, (name, ends, unit) in zip(free[:2].tolist(), errors, found, strict=True):
+        if reason := denied(name, math.exp(value), math.exp(value) * share, unit, ends=ends):
+            raise NoEstimateError(f"{refusal} ({reason})")
 
 
 def _model(config: AfmConfig, reduced_modulus: float | None) -> _Model:

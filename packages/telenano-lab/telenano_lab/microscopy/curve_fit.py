@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from telenano.analysis import denied
 from telenano.numerics import compiled, compiled_form
 from telenano.wire import ConfigError
 from telenano_lab.microscopy.contact_models import DMT, HERTZ, JKR, MODELS, SNEDDON, Contact, at, end_of, forces
@@ -36,6 +37,8 @@ Array = npt.NDArray[np.float64]
 _MOST_POINTS = 256
 # A fit needs at least this number of points in contact, and as many away from the sample.
 _LEAST_POINTS = 10
+# A branch is taken up to this multiple of the points in contact.
+_FREE_TIMES = 10
 # Until the contact is known, this share of a branch, at its end away from the sample, counts as free of force.
 _FREE_SHARE = 0.25
 # This share of the contact before the pull-off is left out: it may end a little earlier or later than in the model.
@@ -46,8 +49,6 @@ _NEXT_TO_END = {DMT: 0.02, JKR: 0.1}
 _BEFORE_JUMP, _BEHIND_JUMP = 24, 120
 # A load, a pull or a jump counts as seen where it exceeds its noise by this factor.
 _SEEN = 6.0
-# A modulus is refused where its standard error exceeds this share of it.
-_GREATEST_SHARE = 0.5
 # A fit is refused where the modulus changes over the depth by more than this share and by more than so many errors.
 _LEAST_CHANGE, _CHANGE_ERRORS = 0.1, 4.0
 # A smaller change of more than so many errors is added to the errors of contact point and modulus.
@@ -187,8 +188,9 @@ def fit_curve(curve: MeasuredWays, shape: ContactShape) -> CurveFit:
 
 def _fitted(curve: MeasuredWays, shape: ContactShape) -> CurveFit:
     number = MODELS[shape.model]
-    approach = _way(curve.approach_m[::-1], curve.approach_n[::-1], "approach")
-    retract = _way(curve.retract_m, curve.retract_n, "retraction") if len(curve.retract_m) else None
+    approach_m, approach_n = _near(curve.approach_m, curve.approach_n)
+    approach = _way(approach_m[::-1], approach_n[::-1], "approach")
+    retract = _way(*_near(curve.retract_m, curve.retract_n), "retraction") if len(curve.retract_m) else None
     zero_n, noise_n = _free_end(approach, turned=False)
     load_n = float(approach.force_n.max()) - zero_n
     if not load_n > _SEEN * noise_n:
@@ -233,15 +235,12 @@ def _fitted(curve: MeasuredWays, shape: ContactShape) -> CurveFit:
         points=len(way.base_m),
         shown=FitPicture(way.base_m, way.force_n, model_n),
     )
-    if touched < _LEAST_POINTS:
-        raise _RefusedError(f"{touched} of its points are in contact, {_LEAST_POINTS} are needed: press deeper")
+    if reason := denied("the contact", 1.0, 0.0, points=(touched, _LEAST_POINTS)):
+        raise _RefusedError(f"{reason}: press deeper")
     if number in (HERTZ, SNEDDON) and len(way.base_m) - touched < _LEAST_POINTS:
         raise _RefusedError("it begins in contact: a zero line is needed, so begin further away")
-    if not errors[1] < _GREATEST_SHARE:
-        raise _RefusedError(
-            f"it hardly tells the modulus: {modulus:.2g} Pa with an error of {100.0 * errors[1]:.0f} %; the sample is"
-            " too hard for this lever, or the load too small"
-        )
+    if reason := denied("the modulus", modulus, modulus * errors[1], "Pa"):
+        raise _RefusedError(f"{reason}: the sample is too hard for this lever, or the load too small")
     if number in (HERTZ, SNEDDON):
         _refuse_dip(way, model_n, depth_m, noise_n, load_n)
     change = _change_over_depth(problem, way, depth_m, jacobian, left)
@@ -255,11 +254,10 @@ def _fitted(curve: MeasuredWays, shape: ContactShape) -> CurveFit:
     if abs(change.share) > _DOUBT_ERRORS * change.error:
         # A fit without the change is as likely, so its shift of each figure is added to the errors.
         errors = [math.sqrt(error**2 + moved**2) for error, moved in zip(errors, change.moved, strict=True)]
-        if not errors[1] < _GREATEST_SHARE:
+        if reason := denied("the modulus", modulus, modulus * errors[1], "Pa"):
             raise _RefusedError(
-                f"the modulus changes over the depth by {100.0 * change.share:.0f} ± {100.0 * change.error:.0f} %, and"
-                f" without that it is known to {100.0 * errors[1]:.0f} % only: the model {shape.model} may not describe"
-                " it"
+                f"{reason}: it changes over the depth by {100.0 * change.share:.0f} ± {100.0 * change.error:.0f} %, so"
+                f" that the model {shape.model} may not describe it"
             )
         found = found._replace(contact_error_m=errors[0] * problem.length_scale_m, modulus_error_pa=modulus * errors[1])
     if number in (DMT, JKR):
@@ -267,8 +265,28 @@ def _fitted(curve: MeasuredWays, shape: ContactShape) -> CurveFit:
         return found._replace(adhesion_n=pull_n, adhesion_error_n=errors[2] * (scale if number == DMT else pull_n))
     if retract is None:
         return found
-    pull_n, error_n = _pull_at_jump(curve)
+    # The curve has one baseline: the tilt that the approach tells is that of its retraction.
+    per_m = scale / problem.length_scale_m
+    pull_n, error_n = _pull_at_jump(curve, float(free[4]) * per_m, errors[3] * per_m)
     return found._replace(adhesion_n=pull_n, adhesion_error_n=error_n)
+
+
+def _near(height_m: Array, force_n: Array) -> tuple[Array, Array]:
+    """Return a branch without most of a far end that is ten times as long as the contact; height_m rises from it.
+
+    Averages over neighbours would otherwise leave few points of a contact that is a hundredth of the way.
+    """
+    sound = np.isfinite(height_m) & np.isfinite(force_n)
+    height, force = height_m[sound], force_n[sound]
+    count = len(height)
+    if count <= _MOST_POINTS:
+        return height, force
+    far = slice(count - int(_FREE_SHARE * count), count)
+    zero, slope, noise = _line(height[far], force[far])
+    middle = math.fsum(height[far].tolist()) / (far.stop - far.start)
+    touching = np.flatnonzero(np.abs(force - zero - slope * (height - middle)) > _SEEN * noise)
+    kept = max(_FREE_TIMES * (int(touching[-1]) + 1 if len(touching) else count), _MOST_POINTS)
+    return height[:kept], force[:kept]
 
 
 def _way(height_m: Array, force_n: Array, name: str) -> _Way:
@@ -420,13 +438,17 @@ def _smooth_pull(way: _Way, lowest: int, last: int, noise_n: float) -> tuple[flo
     return -scale * (level - deepest), scale * math.sqrt(float(noise.covariance[1, 1]))
 
 
-def _pull_at_jump(curve: MeasuredWays) -> tuple[float, float]:
+def _pull_at_jump(curve: MeasuredWays, tilt_n_per_m: float, tilt_error_n_per_m: float) -> tuple[float, float]:
     """Return the pull of a retraction at its last jump [N] and its standard error; the pull is 0 where no jump is seen.
+
+    The tilt of the force over the base [N/m] is taken off first: a line that falls from the far end to the contact
+    would be a pull, and one that rises would hide a pull. Its standard error counts over the way to the zero line.
 
     Only points near the jump are used, and unaveraged, because an average over neighbours would mix both sides of it.
     """
     sound = np.isfinite(curve.retract_m) & np.isfinite(curve.retract_n)
     base, force = -curve.retract_m[sound], curve.retract_n[sound]
+    force = force - tilt_n_per_m * (base - base[-1])
     way = _Way(base, force, np.arange(len(base), dtype=np.float64), 1)
     _, noise_n = _free_end(way, turned=True)
     last, count, width = _last_in_contact(way), len(force), 4
@@ -434,8 +456,9 @@ def _pull_at_jump(curve: MeasuredWays) -> tuple[float, float]:
     behind = np.arange(last + 1, min(last + 1 + _BEHIND_JUMP, count))
     least_n = _SEEN * noise_n * math.sqrt(0.5)
     lowest = _lowest(force, width)
-    if (smooth := _smooth_pull(way, lowest, last, noise_n)) is not None:
-        return smooth
+    doubt_n = tilt_error_n_per_m * abs(float(base[lowest] - base[-1]))
+    if (smooth := _smooth_pull(way, lowest, last, math.hypot(noise_n, doubt_n))) is not None:
+        return smooth[0], math.hypot(smooth[1], doubt_n)
     ends = force[last + 1 - width : last + 1].tolist(), force[last + 1 : last + 1 + width].tolist()
     jump = (math.fsum(ends[1]) - math.fsum(ends[0])) / width
     if not jump > least_n or len(before) < 8 or len(behind) < 8:

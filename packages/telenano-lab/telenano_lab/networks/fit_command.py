@@ -110,9 +110,14 @@ def fit(
                 "Each message is drawn by itself: delays and losses are those of the line, and its correlation, stalls "
                 "and runs of loss are not in the settings."
             )
+        told = {what: _denied(what, value, bounds[what]) for what, value in parameters(model).items()}
+        remarks += [f"{reason}: a longer log would tell it." for reason in told.values() if reason]
         document: dict[str, Any] = {
             "parameters": {
-                what: {"value": _known(value), "interval": [_known(edge) for edge in bounds[what]]}
+                what: {
+                    "value": None if told[what] else _known(value),
+                    "interval": [_known(edge) for edge in bounds[what]],
+                }
                 for what, value in parameters(model).items()
             },
             "agreement": [{key: _known(value) for key, value in row._asdict().items()} for row in table],
@@ -188,6 +193,17 @@ def _show(document: dict[str, Any], out: Path, as_json: bool) -> None:
         typer.echo(
             f"{out}: no settings are written, because the model is not like the log in {apart}; --anyway writes them"
         )
+
+
+def _denied(what: str, value: float, interval: tuple[float, float]) -> str:
+    """Return why a length that cannot be zero is not told, by its interval; empty if it is, or is another quantity."""
+    from telenano.analysis import DEVIATIONS, denied
+
+    if math.isnan(value) or not what.startswith(("usual delay", "length of a stall", "lost in a row")):
+        return ""
+    name, _, unit = what.removesuffix("]").partition(" [")
+    reason = denied(f"the log's {name}", value, 0.5 * (interval[1] - interval[0]) / DEVIATIONS, unit)
+    return reason[:1].upper() + reason[1:]
 
 
 def _known(value: Any) -> Any:

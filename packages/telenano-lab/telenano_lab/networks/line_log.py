@@ -16,9 +16,16 @@ import numpy as np
 
 from telenano.files import Column as TableColumn
 from telenano.files import TextTable, decoded, read_regular
+from telenano.timing import ClockLine
 from telenano.wire import ConfigError
 from telenano_lab.networks import ping_log
-from telenano_lab.networks.line_sources import Column, is_delivery_trace, of_recording, through_delivery_trace
+from telenano_lab.networks.line_sources import (
+    Column,
+    is_delivery_trace,
+    of_mm_link,
+    of_recording,
+    through_delivery_trace,
+)
 from telenano_lab.networks.network_trace import Direction
 
 UNITS_S = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -48,6 +55,11 @@ _LONGEST_PERIOD_S = 600.0
 _LONGEST_LOG_S = 1e8
 # A log is divided into this number of parts, after each of which a step of one of two clocks is sought.
 _PARTS = 20
+# The shortest delays change evenly if they are off a line by less than this share of their span, and in one step if it
+# has more than this share of it.
+_EVENLY, _IN_ONE_STEP = 0.25, 0.7
+# The distance of an assumed lower bound of the clock from the shortest delays [ns]; it has no influence on the slope.
+_BELOW_NS = 10**9
 # With a greater share of rows that go back in time, the rows are not in the order of sending.
 _MOST_BACK_SHARE = 0.01
 # This number of rows may go back in time in any log.
@@ -174,6 +186,8 @@ def _read(
         log = ping_log.round_trips(text, path.name, period_s)
         cuts += log.remarks
         return [(np.array(rows)[:, 0], np.array(rows)[:, 1]) for rows in log.parts], True
+    if (packets := of_mm_link(text, path.name, cuts)) is not None:
+        return [packets], False
     if is_delivery_trace(text) and period_s is None:
         return [through_delivery_trace(text, path.name, cuts)], False
     table = TextTable.parse(content, path.name)
@@ -341,6 +355,34 @@ def _check_level(part: Segment, share: float) -> None:
     if low > other_high or other_low > high:
         raise ConfigError(
             f"the log is not stationary: its median delay is {1e3 * below:.4g} ms in its first {at_s:.4g} s and"
-            f" {1e3 * other:.4g} ms after them, and hardly a delay of the one occurs in the other. The line changed"
-            " (give the parts as logs of their own), or one of two clocks stepped"
+            f" {1e3 * other:.4g} ms after them, and hardly a delay of the one occurs in the other. {_change_in(part)}"
         )
+
+
+def _change_in(part: Segment) -> str:
+    """Return how the shortest delays of a part change over its time, in a sentence: evenly, in a step, or otherwise."""
+    edges = np.linspace(0.0, float(part.sent_s[-1]), 4 * _PARTS + 1)
+    places = np.searchsorted(part.sent_s, edges)
+    blocks = [slice(low, high) for low, high in pairwise(places) if (~np.isnan(part.delay_s[low:high])).any()]
+    at_ns = [round(1e9 * float(part.sent_s[block].mean())) for block in blocks]
+    least_ns = [round(1e9 * float(np.nanmin(part.delay_s[block]))) for block in blocks]
+    # One direction bounds the lead of the other clock from above; a bound from below at its level takes the slope only.
+    bounds = list(zip(at_ns, least_ns, strict=True))
+    line = ClockLine.through(bounds, [(at, least - _BELOW_NS) for at, least in bounds])
+    whole = np.array(least_ns, dtype=np.float64)
+    off = whole - np.array([line.at(at) for at in at_ns])
+    span = float(np.ptp(whole))
+    if line.drift and float(np.ptp(off)) < _EVENLY * span:
+        return (
+            f"Its shortest delays change evenly, by {1e6 * line.drift:+.3g} ppm"
+            f" ({1e-6 * line.drift * at_ns[-1]:+.3g} ms in all), as where one of two clocks drifts against the other:"
+            " set both by one time, or measure round trips"
+        )
+    place = int(np.argmax(np.abs(np.diff(whole))))
+    if abs(whole[place + 1] - whole[place]) > _IN_ONE_STEP * span:
+        return (
+            f"Its shortest delay goes from {1e-6 * whole[place]:.4g} to {1e-6 * whole[place + 1]:.4g} ms in one step"
+            f" near {1e-9 * at_ns[place + 1]:.4g} s: the way of the messages or a clock was changed there, which of"
+            " them the delays do not say. Give the parts as logs of their own"
+        )
+    return "Why, the log does not say; give the parts between which it changes as logs of their own"

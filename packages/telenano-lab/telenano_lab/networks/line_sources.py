@@ -1,5 +1,6 @@
 """Read times of sending and delays from recordings, delivery traces and histograms, which hold no messages."""
 
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +20,8 @@ Column = npt.NDArray[np.float64]
 _SIZE_BYTES = 200
 # The interval at which they are sent [s].
 _PERIOD_S = 0.010
+# The bytes that a line of a trace carries.
+_OPPORTUNITY_BYTES = 1500
 # The unit of the times in a trace [s].
 _OPPORTUNITY_S = 1e-3
 # The least number of opportunities in a trace.
@@ -101,12 +104,53 @@ def through_delivery_trace(text: str, name: str, notes: list[str]) -> tuple[Colu
     finally:
         (folder / file).unlink()
         folder.rmdir()
+    delays_s = np.array([1e-9 * fate.delay_ns for fate in fates])
+    if not np.nanmedian(delays_s) > 0.0:
+        rate = 1e-6 * _OPPORTUNITY_BYTES * 8.0 * len(times) / (times[-1] * _OPPORTUNITY_S)
+        raise ConfigError(
+            f"{name}: is a capacity trace of mahimahi, of a line of {rate:.3g} Mbit/s, that delays nothing at this"
+            f" rate: of messages of {_SIZE_BYTES} bytes each {1e3 * _PERIOD_S:g} ms most go at once. The link takes it"
+            " as it is (delivery_trace); a log of delays says what the way adds"
+        )
     notes.append(
         f"{name}: the trace says when the line carried 1500 bytes, and nothing of the way behind it. Messages of"
         f" {_SIZE_BYTES} bytes each {1e3 * _PERIOD_S:g} ms were sent through it; add the delay of the way, and expect"
         " more delay for more messages"
     )
-    return np.arange(count) * np.float64(_PERIOD_S), np.array([1e-9 * fate.delay_ns for fate in fates])
+    return np.arange(count) * np.float64(_PERIOD_S), delays_s
+
+
+# A line of the log of mm-link: time [ms], what happened, and of a departure its bytes and how long it waited [ms].
+_OF_MM_LINK = re.compile(r"(?m)^(\d+) (?:- \d+ (\d+)|d (\d+) \d+)\s*$")
+_HEAD_OF_MM_LINK = re.compile(r"(?im)^#.*mm-link|^#.*mahimahi")
+# The fixed delay of the shells around it, as its head names them.
+_FIXED_DELAY = re.compile(r"(?m)^#.*?(?:mm-delay|\[delay)[ ](\d+)")
+
+
+def of_mm_link(text: str, name: str, notes: list[str]) -> tuple[Column, Column] | None:
+    """Return sending times and delays [s] of the packets in a log of mm-link, nan for dropped ones; None if it is none.
+
+    A packet was sent when it came to the queue, and what the shell `mm-delay` around it adds stands in the head alone.
+
+    Raises:
+        ConfigError: No packet departed.
+    """
+    if not _HEAD_OF_MM_LINK.search(text):
+        return None
+    rows: list[tuple[float, float]] = []
+    fixed_s = 1e-3 * sum(float(found) for found in set(_FIXED_DELAY.findall(text)))
+    for at, waited, dropped in _OF_MM_LINK.findall(text):
+        rows += [(1e-3 * (int(at) - int(waited)), 1e-3 * int(waited) + fixed_s)] if waited else []
+        rows += [(1e-3 * int(at), np.nan)] * int(dropped or 0)
+    if not rows:
+        raise ConfigError(f"{name}: is a log of mm-link (mahimahi) in which no packet departed")
+    rows.sort(key=lambda row: row[0])
+    added = (
+        f"with the fixed delay of {1e3 * fixed_s:g} ms of its head" if fixed_s else "and its head names no fixed delay"
+    )
+    notes.append(f"{name}: a log of mm-link (mahimahi): how long each packet waited, {added}")
+    sent_s, delay_s = np.array(rows).T
+    return sent_s - sent_s[0], delay_s
 
 
 def _written(text: str) -> tuple[Path, str]:

@@ -57,6 +57,10 @@ _ON_A_PAGE = 24
 _WIDE = 48
 # The margin beyond the curves at each end of an ordinate, as a share of its span.
 _MARGIN = 0.08
+# The least force that the panel of force against distance shows to its end, as a share of the greatest of its session,
+# and the margin beyond it, as a share of the span.
+_FELT = 0.02
+_MARGIN_OF_DISTANCE = 0.25
 _LEAVES = "diverges, beyond the axes"
 
 
@@ -263,6 +267,7 @@ def compare_figures(
             _draw(panels, own, look, f"{condition.label}: {condition.outcome}")
         _draw_published(panels, published)
         _limit(panels, everyone, limits)
+        _limit_distance(panels[2], everyone)
         for panel, (x, y) in zip(panels, _AXES, strict=True):
             panel.set(xlabel=x, ylabel=y)
         options.lettered(panels)
@@ -361,6 +366,17 @@ def _limits(curves: Sequence[tuple[Floats, bool]]) -> Limits:
     low, high = min(float(y.min()) for y in found), max(float(y.max()) for y in found)
     margin = _MARGIN * (high - low) or 1.0
     return low - margin, high + margin
+
+
+def _limit_distance(panel: "Axes", drawn: Sequence[Drawn]) -> None:
+    """Let the panel of force against distance end where no force is left: most of an approach has none."""
+    curves = [one.curves[2] for one in drawn if not one.diverged] or [one.curves[2] for one in drawn]
+    felt = [x[np.abs(y) > _FELT * float(np.nanmax(np.abs(y), initial=0.0))] for x, y in curves]
+    felt_nm = np.concatenate([x[np.isfinite(x)] for x in felt])
+    if felt_nm.size:
+        low, high = float(felt_nm.min()), float(felt_nm.max())
+        margin = _MARGIN_OF_DISTANCE * (high - low) or 1.0
+        panel.set_xlim(low - margin, high + margin)
 
 
 def _limit(panels: "Sequence[Axes]", drawn: Sequence[Drawn], limits: Sequence[Limits]) -> None:

@@ -38,7 +38,7 @@ class Lever(NamedTuple):
 
 KINDS = (
     "clean", "tone 1 %", "tone 5 %", "tone 10 %", "tone 20 %", "tone 50 %", "1/f", "second mode", "few lines", "kHz",
-    "V/sqrtHz", "comma", "window",
+    "V/sqrtHz", "comma", "window", "overdamped", "liquid",
 )  # fmt: skip
 
 
@@ -59,6 +59,21 @@ def spring(frequency: np.ndarray, square: float, f0: float, q: float) -> np.ndar
     return 2.0 * square / (math.pi * f0 * q * ((1.0 - x**2) ** 2 + (x / q) ** 2))
 
 
+def in_liquid(frequency: np.ndarray, square: float, lever: Lever, width_m: float, ratio: float) -> np.ndarray:
+    """Return the density of a rectangular lever in water, by its susceptibility with the hydrodynamic function.
+
+    ratio: mass of a cylinder of water of that width over the mass of the lever. The area is that of equipartition.
+    """
+    from telenano_lab.calibration.own_calibration import hydrodynamic
+
+    grid = np.geomspace(1e-3 * lever.f0, 300.0 * lever.f0, 3000)
+    gamma = np.array([hydrodynamic(min(998.0 * math.tau * f * width_m**2 / 4e-3, 9999.0)) for f in grid.tolist()])
+    x2 = (grid / (lever.f0 * math.sqrt(1.0 + 1.5 * ratio))) ** 2
+    shape = x2 * gamma.imag / grid / ((1.0 - x2 * (1.0 + ratio * gamma.real)) ** 2 + (x2 * ratio * gamma.imag) ** 2)
+    area = float(np.sum(0.5 * (shape[1:] + shape[:-1]) * np.diff(grid)))
+    return np.asarray(square / area * np.interp(frequency, grid, shape))
+
+
 def spectrum_of(kind: str, seed: int) -> tuple[Lever, np.ndarray, np.ndarray]:
     """Return a lever, the lines [Hz] of its spectrum, and the density [V^2/Hz]."""
     draw = np.random.default_rng([KINDS.index(kind), seed])
@@ -67,6 +82,9 @@ def spectrum_of(kind: str, seed: int) -> tuple[Lever, np.ndarray, np.ndarray]:
     if few:
         lever = lever._replace(lines=draw.uniform(0.8, 4.0))
     # the rate is far above the resonance, so that aliasing is of no account
+    if kind in ("overdamped", "liquid"):
+        q = draw.uniform(0.4, 3.0)
+        lever = lever._replace(f0=0.1 * lever.f0, k=0.01 * lever.k, q=q, lines=draw.uniform(40.0, 400.0) / q)
     spacing = max(lever.f0 / lever.q / lever.lines, lever.f0 / 2_000.0)
     highest = draw.uniform(8.0, 14.0) * lever.f0
     frequency = spacing * np.arange(1, int(highest / spacing))
@@ -86,6 +104,9 @@ def spectrum_of(kind: str, seed: int) -> tuple[Lever, np.ndarray, np.ndarray]:
         mean = seen[1 : len(frequency) + 1] + floor
     else:
         mean = spring(frequency, square, lever.f0, lever.q) + floor
+    if kind == "liquid":
+        water = math.exp(draw.uniform(math.log(2.0), math.log(60.0)))
+        mean = in_liquid(frequency, square, lever, draw.uniform(20e-6, 50e-6), water) + floor
     if kind == "1/f":
         mean += peak * draw.uniform(1e-4, 3e-2) * (0.1 * lever.f0 / frequency) ** draw.uniform(0.8, 2.0)
     if kind == "second mode":

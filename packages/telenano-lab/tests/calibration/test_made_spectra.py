@@ -10,10 +10,11 @@ FEW = 12
 MOST_REFUSED = {
     "clean": 0.01, "kHz": 0.0, "V/sqrtHz": 0.0, "comma": 0.0, "tone 1 %": 0.2, "tone 5 %": 0.2, "tone 10 %": 0.25,
     "tone 20 %": 0.25, "tone 50 %": 0.25, "1/f": 0.45, "second mode": 0.05, "few lines": 0.06, "window": 0.03,
+    "overdamped": 0.02, "liquid": 0.05,
 }  # fmt: skip
 
 
-@pytest.mark.check("fits 156 spectra")
+@pytest.mark.check("fits 180 spectra")
 @pytest.mark.drawn(0.3)
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_spectrum_is_accepted_wrongly(kind: str, tmp_path: Path) -> None:
@@ -36,6 +37,7 @@ def test_of_1000_spectra_93_to_97_5_in_a_hundred_cover_the_stiffness(kind: str, 
     assert found["wrong"] == 0
     # what is left of another mode under the fit is in no error
     # the error of few lines is that of segments that share the energy of the lever, and these lines are independent
-    most = 1.0 if kind == "few lines" else 0.975
+    # and by how much the shape of a lever in a liquid is none of a spring is in its error as a whole
+    most = 1.0 if kind in ("few lines", "liquid") else 0.975
     assert (0.90 if kind == "second mode" else 0.93) <= found["covered"] <= most
     assert found["refused"] <= MOST_REFUSED[kind]

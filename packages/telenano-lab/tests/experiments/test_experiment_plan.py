@@ -121,6 +121,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"factors": {"task.lenght_s": [1.0]}}, r"tasks.0.parameters.lenght_s: unknown key.*\(task.lenght_s = 1.0\)"),
     ({"participants": ["Anna"]}, "'Anna' is not a pseudonym: it must be P and a number"),
     ({"participants": ["P01", "P01"]}, "participants: each may appear once"),
+    ({"participants": ["P01", "P1"]}, "P01 and P1 have one number"),
     ({"pseudonym": "Miller"}, "pseudonym: String should match pattern"),
     ({"blocks": {"factors": ["lawn"]}}, "blocks.factors: lawn is not a factor; .*law"),
     ({"order": "counterbalanced"}, "order: counterbalanced: 6 conditions have 720 orders; take latin_square"),

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from telenano_lab.doubles.made_curves import NOISES, MadeCurve, drawn_curve
+from telenano_lab.doubles.made_curves import NOISES, MadeCurve, curve_under, drawn_conditions, drawn_curve
 from telenano_lab.microscopy.contact_models import JKR, Contact, forces
 from telenano_lab.microscopy.curve_fit import ContactShape, CurveFit, MeasuredWays, fit_curve
 
@@ -161,6 +161,39 @@ def test_jkr_ends_where_no_spring_holds_it_and_pulls_most_with_its_pull_off() ->
 
 @pytest.mark.check("compiles the steps")
 @pytest.mark.drawn(0.3, "packages/telenano-lab/telenano_lab/microscopy/")
+@pytest.mark.check("fits 48 curves")
+@pytest.mark.parametrize("tilt", [-0.4, -0.1, 0.1, 0.4])
+def test_a_zero_line_that_tilts_is_no_adhesion(tilt: float) -> None:
+    """The tilt is up to 0.4 of the load over the way, of either sign; half of the curves have no adhesion in truth."""
+    within, without = 0, []
+    curves = []
+    for seed in range(12):
+        random = np.random.default_rng([seed, round(1000.0 * (tilt + 1.0))])
+        under = drawn_conditions("hertz", random, noise="white")._replace(tilt_share=tilt)
+        curves.append(curve_under(under, random, is_layer=False))
+    fits = [(made, found) for made in curves if not (found := fitted(made)).refused]
+    for made, found in fits:
+        apart = abs(found.adhesion_n - made.truth.adhesion_n) / found.adhesion_error_n
+        within += apart < 3.0
+        without += [found.adhesion_n] if made.truth.adhesion_n == 0.0 else []
+    assert len(fits) >= 8
+    assert within == len(fits)
+    assert without
+    assert not any(without)
+
+
+def test_a_contact_of_a_hundredth_of_the_way_is_fitted_near_the_sample() -> None:
+    random = np.random.default_rng(3)
+    under = drawn_conditions("hertz", random, noise="white")._replace(
+        points=4000, free_share=0.985, noise_share=0.004, tilt_share=0.02
+    )
+    made = curve_under(under, random, is_layer=False)
+    found = fitted(made)
+    assert found.refused == ""
+    assert abs(found.modulus_pa - made.truth.modulus_pa) < 4.0 * found.modulus_error_pa
+    assert abs(found.contact_m - made.truth.contact_m) < 4.0 * found.contact_error_m
+
+
 def test_a_stiff_lever_that_comes_off_without_a_jump_has_its_greatest_pull() -> None:
     random, height = np.random.default_rng(5), np.linspace(-30e-9, 40e-9, 400)
     pushed = np.clip(-height, 0.0, None)

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from telenano_lab.studies.comparison import names_of, sessions_in
+from telenano_lab.studies.comparison import compare, compare_figures, names_of, sessions_in
 
 from telenano.testing import invoke
 
@@ -80,3 +81,16 @@ def test_a_session_has_the_shortest_name_that_distinguishes_it(paths: list[str],
 
 def test_a_session_that_is_given_twice_has_a_number() -> None:
     assert names_of([Path("a.mcap"), Path("a.mcap")])[0] != names_of([Path("a.mcap"), Path("a.mcap")])[1]
+
+
+def test_the_distance_ends_where_no_force_is_left(recording_of: Callable[[str], Path]) -> None:
+    sessions = compare([recording_of("wave"), recording_of("virtual_impedance")])
+    [figure] = compare_figures(sessions)
+    panel = figure.axes[2]
+    low, high = panel.get_xlim()
+    for one in sessions:
+        path = one.session.series().tip_path()
+        felt_nm = 1e9 * path.separation_m[np.abs(path.force_n) > 0.02 * np.nanmax(np.abs(path.force_n))]
+        assert low < felt_nm.min() and felt_nm.max() < high
+    # The approach begins 10 nm away, and its first half has no force.
+    assert max(1e9 * one.session.series().tip_path().separation_m.max() for one in sessions) > 1.5 * high

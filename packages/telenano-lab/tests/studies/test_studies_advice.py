@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 from answered_sweep import Answered
-from telenano_lab.studies.loops.advice import Question, cells_of, try_all
+from telenano_lab.studies.loops.advice import TRIED_LAWS, Question, cells_of, try_all
 from telenano_lab.studies.loops.cells import WRONG_RESTS, Cell, CellResult, run_cell, trajectory_of
 from telenano_lab.studies.loops.theory import critical_delay_s, loop_model
 from telenano_lab.studies.loops.tuning import tuned
@@ -120,7 +120,7 @@ def test_what_is_tried_is_each_law_as_it_comes_and_each_form_that_is_another_one
     """A law whose clamp is on by itself is not tried a second time with the clamp on."""
     asked = Answered(lambda cell: {"verdict": "stable"})
     tried = try_all(Question(round_trip_ms=120.0, stiffness_n_per_m=80.0, instrument="ideal"), asked)
-    assert [one.law for one in tried if one.clamp is None] == list(COMPARED_LAWS)
+    assert [one.law for one in tried if one.clamp is None] == list(TRIED_LAWS)
     for one in tried:
         own = one.results[0].cell.model_copy(update={"settings": ()}).controller()
         changed = one.results[0].cell.controller()

@@ -3,8 +3,8 @@
     python -m telenano_lab.experiments.benchmark.kept out/benchmark/runs.csv
 
 `runs.csv.xz` is a losslessly compressed `runs.csv` of `telenano benchmark`, and `runs.sha256` its digest: a table that
-does not match its digest is refused. `telenano benchmark cell` repeats some of its runs. For a complete set of runs,
-this command also writes the table that `study advise` reads (`standings`).
+does not match its digest is refused. `telenano benchmark cell` repeats some of its runs, and `study advise` counts
+those on lines like the asked one.
 """
 
 import csv
@@ -18,11 +18,9 @@ from typing import Any, NamedTuple
 
 from telenano.settings import flag_overrides, flatten
 from telenano.wire import ConfigError
-from telenano_lab.experiments.benchmark import standings
-from telenano_lab.experiments.benchmark.plan import VERSION, Run, plan_of
+from telenano_lab.experiments.benchmark.plan import VERSION, Run
 from telenano_lab.experiments.benchmark.results import digest_of
 from telenano_lab.experiments.benchmark.run import MEASURES, Outcome
-from telenano_lab.studies.option_values import COMPARED_LAWS
 
 TABLE = Path(__file__).with_name("runs.csv.xz")
 DIGEST = TABLE.with_name("runs.sha256")
@@ -129,17 +127,13 @@ def chosen(outcomes: Iterable[Outcome], **wanted: Sequence[Any]) -> list[Outcome
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Keep the runs of a file, and write their standings if the set is complete."""
+    """Keep the runs of a file."""
     if len(arguments) != 1:
         raise SystemExit("usage: python -m telenano_lab.experiments.benchmark.kept RUNS.CSV")
     source = Path(arguments[0])
     try:
         text = source.read_bytes().decode()
         write(text)
-        outcomes = read_outcomes(text)
-        if {outcome.cell for outcome in outcomes} == set(plan_of(COMPARED_LAWS, quick=False).runs()):
-            found = standings.text_of(standings.of_runs(outcomes, digest_of(text)))
-            standings.TABLE.write_text(found, encoding="utf-8", newline="")
     except (OSError, ValueError) as error:
         raise SystemExit(f"{source}: {error}") from error
 

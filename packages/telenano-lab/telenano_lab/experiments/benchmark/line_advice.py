@@ -1,15 +1,13 @@
 """Advice on the law for a line, a sample and an instrument: the benchmark's cells, plus trials on that line.
 
-The laws are ordered as in *What to take* of the benchmark, by `results.standings_of` over its runs, whose table comes
-with the package (`standings`); the cells are those of the question's kind of line, instrument and sample. Then each law
-with its default settings is tried on the line itself (`telenano_lab.studies.loops.advice`). A law is not suited
+Each law with its default settings is tried on the line itself (`telenano_lab.studies.loops.advice`). A law is not
+suited if one of its trials was not held or made energy, while another law passed all of them; the reasons are given
+with their figures. A law that held all of its trials is suited, whatever other lines say.
 
-- if the benchmark puts it behind the best in these cells, or
-- if one of its trials was not held or made energy, while another law that is not behind passed all of them,
-
-and the reasons are given with their figures. A law that is not behind and passed all trials comes before one that is
-behind. Variants that the benchmark did not run, with tuned settings or a switched clamp, are listed apart and never
-first.
+The runs of the benchmark (`kept`) count as far as they are those of this line: of its own network, or of networks of
+the same kind, with a delay within a factor of NEAR_LINE and a sample within NEAR_SAMPLE. A law that is behind the best
+of them, by `results.standings_of`, comes after one that is not; within both the price of the trials decides. Variants
+that the benchmark did not run, with tuned settings or a switched clamp, are listed apart and never first.
 """
 
 import math
@@ -21,13 +19,18 @@ from typing import Any
 
 from telenano.analysis import wilson
 from telenano.settings import LinkSettings, profile_named
-from telenano_lab.experiments.benchmark.plan import INSTRUMENTS, LINES, SAMPLES, TASKS
+from telenano_lab.experiments.benchmark.kept import chosen, kept
+from telenano_lab.experiments.benchmark.plan import INSTRUMENTS, LINES, NETWORKS, SAMPLES, TASKS
 from telenano_lab.experiments.benchmark.results import Situation, makes_energy
-from telenano_lab.experiments.benchmark.standings import Standings, Stood, read_standings
+from telenano_lab.experiments.benchmark.standings import Standings, Stood, of_runs
 from telenano_lab.studies.loops.advice import Candidate, Question, try_all
 from telenano_lab.studies.loops.cells import CellResult
 from telenano_lab.studies.loops.sweep import Sweep
 
+# A network is like the asked line if their round trips differ by at most this factor, a sample likewise.
+NEAR_LINE, NEAR_SAMPLE = 1.5, 1.5
+# A law that held as often is named if the stiffness that it lets feel is nearer to that of the sample by this factor.
+_FEELS_NEARER = 1.3
 # A line is local if nearly every message is back within this time: half of that of the shortest other line [ms].
 LOCAL_MS = 8.0
 # Delays are even if their 95 % quantile is at most this share above the median: for `satellite` it is 0.09.
@@ -68,8 +71,8 @@ class Advice:
                 bool(self.reasons[one.law]),
                 self._is_behind(one.law),
                 len(failures(one)),
+                round(one.price(), 3),
                 places.get(one.law, math.inf),
-                one.price(),
                 one.law,
             ),
         )
@@ -96,14 +99,15 @@ class Advice:
         """Return the reason why each law is not suited, by law; empty for a suited one."""
         came = [candidate for candidate in self.tried if candidate.clamp is None]
         # If no law passes, as over a line that stalls, failed trials do not distinguish the laws.
-        tells = any(not failures(one) and not self._is_behind(one.law) for one in came)
+        tells = any(not failures(one) for one in came)
         return {one.law: "; ".join(self._reasons_of(one, tells=tells)) for one in came}
 
     def _reasons_of(self, candidate: Candidate, *, tells: bool) -> list[str]:
         standing, reasons = self.by_law.get(candidate.law), []
         if tells and failures(candidate):
             reasons.append(why_failed(candidate))
-        if standing is not None and standing.is_behind:
+        # Runs elsewhere do not overrule the line itself: what held all of its trials is suited.
+        if standing is not None and standing.is_behind and failures(candidate):
             reasons.append(why_behind(standing, self.best))
         return reasons
 
@@ -176,17 +180,40 @@ def advise(question: Question, sweep: Sweep, table: Standings | None = None) -> 
     Args:
         question: The line, the sample and the instrument.
         sweep: Runs the trials.
-        table: The standings of the benchmark; None for the table of the package.
+        table: The standings of the benchmark; None for those of its runs on lines like this one.
 
     Raises:
-        ConfigError: The line or the instrument is not known, or the table cannot be read.
+        ConfigError: The line or the instrument is not known, or the runs cannot be read.
     """
-    said = read_standings() if table is None else table
     situation, notes = situation_of(question)
+    said = _of_like_lines(question, situation) if table is None else table
     standings = said.situations.get(situation, [])
     if not standings:
-        notes = [*notes, f"The runs of the benchmark have no cell of {_named(situation)}: the trials alone decide."]
+        notes = [
+            *notes,
+            f"The benchmark has no runs on a line like this ({_named(situation)}): the trials alone decide.",
+        ]
     return Advice(question, situation, standings, said.digest, notes, try_all(question, sweep))
+
+
+def _of_like_lines(question: Question, situation: Situation) -> Standings:
+    """Return the standings of the benchmark's runs on the network of a question, or on networks and samples like it."""
+    runs = kept()
+    tip = question.tip_n_per_m
+    tasks = [task for task in SAMPLES[situation.sample] if _is_near(TASKS[task].stiffness_n_per_m, tip, NEAR_SAMPLE)]
+    networks = [one for one in LINES[situation.line] if _is_like(question, one)]
+    some = chosen(runs.outcomes.values(), network=networks, task=tasks, instrument=[situation.instrument])
+    return of_runs(some if networks and tasks else (), runs.digest)
+
+
+def _is_like(question: Question, network: str) -> bool:
+    if question.network in NETWORKS:
+        return question.network == network
+    return _is_near(profile_named(network).round_trip_ms, question.round_trip_ms, NEAR_LINE)
+
+
+def _is_near(one: float, other: float, factor: float) -> bool:
+    return one == other or (min(one, other) > 0.0 and max(one, other) <= factor * min(one, other))
 
 
 def situation_of(question: Question) -> tuple[Situation, list[str]]:
@@ -272,6 +299,20 @@ def in_words(advice: Advice) -> list[str]:
     suited = [f"{other.name}, {_figures(other)}" for other in others if not advice.reasons[other.law]]
     if suited:
         words.append(f"Next come {'; '.join(suited[:2])}.")
+    felt = best.felt_share()
+    nearer = [
+        f"{other.name} ({share:.2f})"
+        for other in others
+        if not failures(other)
+        and felt
+        and (share := other.felt_share())
+        and abs(math.log(felt)) > abs(math.log(share)) + math.log(_FEELS_NEARER)
+    ]
+    if nearer and felt:
+        words.append(
+            f"Of the laws that held all runs these let the hand feel more of the sample than the {felt:.2f} of"
+            f" {best.name}: {'; '.join(nearer)}."
+        )
     unsuited = [f"{other.name} ({advice.reasons[other.law]})" for other in others if advice.reasons[other.law]]
     if unsuited:
         words.append(f"Not suited: {'; '.join(unsuited)}.")
@@ -308,7 +349,9 @@ def _settings(candidate: Candidate) -> str:
 
 
 def _figures(candidate: Candidate) -> str:
+    felt, apart = ("-" if one is None else f"{one:.2f}" for one in (candidate.felt_share(), candidate.apart_share()))
     return (
         f"with {candidate.force_share():.2f} of the force in the worst hold, a peak of {candidate.peak_share():.2f},"
+        f" {felt} of the sample's stiffness felt in a hold, hand and tip apart by {apart} of the indentation,"
         f" and {candidate.free_n_s_per_m:.3g} N s/m in free motion"
     )

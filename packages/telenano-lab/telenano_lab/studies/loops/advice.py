@@ -8,20 +8,31 @@ and came to rest with the intended force, without striking the sample. Forms tha
 price, the sum of
 
 - the share by which the force at the tip in a hold differs from the intended one, with the worst of the arms,
-- the share by which the greatest force at the tip exceeds the hand's, and
+- the share by which the greatest force at the tip exceeds the hand's,
+- the share by which the stiffness that the hand feels in the hold differs from that of the sample, and
 - FREE_PRICE for each time that free motion is heavier than the default of 100 N s/m.
 """
 
 import math
+import statistics
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import Field, model_validator
 
+from telenano.sections import LAWS
 from telenano.settings import Option, profile_named
 from telenano.settings import Settings as StrictSettings
 from telenano.wire import ConfigError
-from telenano_lab.studies.loops.cells import DEFAULT_STIFFNESS, Cell, CellResult, Conditions, Environment, Hand
+from telenano_lab.studies.loops.cells import (
+    DEFAULT_STIFFNESS,
+    Cell,
+    CellResult,
+    Conditions,
+    Environment,
+    Hand,
+    scales_of,
+)
 from telenano_lab.studies.loops.sweep import Sweep
 from telenano_lab.studies.loops.tuning import Settings, tuned
 from telenano_lab.studies.option_values import (
@@ -40,9 +51,11 @@ FREE_PRICE = 0.02
 WALLS_N_PER_M = {"soft": 5.0, "ordinary": 20.0, "stiff": 80.0}
 _FREE_N_S_PER_M = 100.0
 _LEVELS_N: dict[str, float] = {**dict.fromkeys(DEFAULT_STIFFNESS, 1.0), "tip_sample": 2.0}
-# Every law with its defaults (clamp None), and tuned with the force clamp off and on.
-CANDIDATES: tuple[tuple[str, bool | None], ...] = tuple(
-    (law, clamp) for clamp in (None, False, True) for law in COMPARED_LAWS
+# Every law with its defaults (clamp None), and those of the comparisons tuned with the force clamp off and on.
+TRIED_LAWS = (*COMPARED_LAWS, *(law for law in LAWS if law not in COMPARED_LAWS))
+CANDIDATES: tuple[tuple[str, bool | None], ...] = (
+    *((law, None) for law in TRIED_LAWS),
+    *((law, clamp) for clamp in (False, True) for law in COMPARED_LAWS),
 )
 
 
@@ -135,6 +148,19 @@ class Candidate:
         """Return the greatest force at the tip over that of the hand."""
         return max((r.peak_n or 0.0) / _LEVELS_N[r.cell.environment] for r in self.results)
 
+    def felt_share(self) -> float | None:
+        """Return the stiffness that the hand feels in a hold over that of the sample, the median of the runs.
+
+        The hand presses with F_m and has moved by F / K beyond the touch, and by its lead over the tip.
+        """
+        shares = [(r.hand_n or 0.0) / moved for r in self.results if (moved := _moved_n(r)) > 0.0]
+        return statistics.median(shares) if shares else None
+
+    def apart_share(self) -> float | None:
+        """Return by how much hand and tip are apart in a hold, over the indentation, the median of the runs."""
+        pressed = [r for r in self.results if (r.tip_n or 0.0) > 0.0]
+        return statistics.median(abs(_moved_n(r) / (r.tip_n or 1.0) - 1.0) for r in pressed) if pressed else None
+
     def lowest_energy_j(self) -> float:
         return min(result.lowest_energy_j for result in self.results)
 
@@ -143,7 +169,8 @@ class Candidate:
         if self.failed:
             return math.inf
         free = FREE_PRICE * (self.free_n_s_per_m / _FREE_N_S_PER_M - 1.0)
-        return abs(self.force_share() - 1.0) + max(self.peak_share() - 1.0, 0.0) + free
+        felt = abs((self.felt_share() or 0.0) - 1.0)
+        return abs(self.force_share() - 1.0) + max(self.peak_share() - 1.0, 0.0) + felt + free
 
     def over_seeds(self) -> dict[str, Statistic]:
         """Return statistics over the seeds, of each seed the worst of its hands; empty for a single seed."""
@@ -177,11 +204,20 @@ class Candidate:
             "runs": len(self.results),
             "force_share": self.force_share(),
             "peak_share": self.peak_share(),
+            "felt_share": self.felt_share(),
+            "apart_share": self.apart_share(),
             "free_n_s_per_m": self.free_n_s_per_m,
             "lowest_energy_j": self.lowest_energy_j(),
             "over_seeds": self.over_seeds_as_dict(),
             "reason": self.failed[0].reason if self.failed else "",
         }
+
+
+def _moved_n(result: CellResult) -> float:
+    """Return K times the way of the hand beyond the touch in a hold, at the scale of the hand [N]."""
+    scales = scales_of(result.cell.controller())
+    stiffness = result.cell.stiffness_n_per_m * scales.force_scale * scales.position_scale
+    return (result.tip_n or 0.0) + stiffness * (result.apart_m or 0.0)
 
 
 def cells_of(question: Question, law: str, clamp: bool | None) -> list[Cell]:

@@ -9,15 +9,14 @@ import json
 import logging
 import os
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass, field
+from functools import partial
 from importlib import import_module
-from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from telenano.files import locked
-from telenano.signals import spawning_workers
+from telenano.signals import in_processes
 from telenano.wire import ConfigError, RigError
 from telenano_lab.studies.loops.cells import Cell, CellResult, run_cell
 
@@ -164,29 +163,10 @@ class Sweep:
         elif self.workers == 1 or len(batches) < 2:
             yield from (run_batch(batch, kind.run) for batch in batches)
         else:
-            yield from _on_processes(min(self.workers, len(batches)), batches, kind)
-
-
-def _on_processes(workers: int, batches: list[list[Any]], kind: Kind) -> Iterator[list[Any]]:
-    """Run on processes of this machine, which end when the reader of their results ends."""
-    # The workers are spawned, not forked, because the parent has threads of its own by now.
-    others = set(active_children())
-    # The pool starts a further process itself, which tracks its semaphores.
-    with spawning_workers():
-        pool = ProcessPoolExecutor(workers, get_context("spawn"))
-    try:
-        with spawning_workers():
-            futures = [pool.submit(run_batch, batch, kind.run) for batch in batches]
-        for future in as_completed(futures):
-            yield future.result()
-    except BaseException:
-        # The work in progress is useless now, and may take seconds.
-        pool.shutdown(wait=False, cancel_futures=True)
-        for process in set(active_children()) - others:
-            process.terminate()
-        raise
-    finally:
-        pool.shutdown()
+            run = partial(run_batch, run=kind.run)
+            with contextlib.closing(in_processes(self.workers, run, batches)) as computed:
+                for _, results in computed:
+                    yield results
 
 
 def _on_cluster(address: str, batches: list[list[Any]], kind: Kind, warn: Callable[[str], None]) -> Iterator[list[Any]]:
