@@ -343,7 +343,12 @@ PLANTED: dict[str, Fault] = {
         "any command counts as fresh for the hand",
         "safe_in_time nothing_late",
         _instead(hand_guard, "step", _ageless),
-        events=[_at(2.0, "stall", node="controller@master", for_s=0.5)],
+        # In a process of a site the hand stands still with the half beside it, but not beside that of the other one.
+        events=[
+            _at(2.0, "stall", node="controller@master", for_s=0.5),
+            _at(0.345, "stall", node="controller@slave", for_s=0.08),
+            _at(0.366, "delay", forward_s=0.03, backward_s=0.03),
+        ],
     ),
     "a hand that feels nothing": _fault(
         "a hand counts as one that feels the tip, whenever the last answer came",

@@ -21,7 +21,8 @@ def _down(session: Session, node: str) -> list[Stretch]:
     """Return the times without a process of a node: from each end to the next start [s]."""
     stretches = []
     for act in session.acts:
-        if act["what"] in ("killed", "ended") and act["node"] == node:
+        ends = act["what"] in ("killed", "ended") and act["at_s"] < session.end_s
+        if ends and act["node"] == node:
             starts = [one["at_s"] for one in session.acts if one["what"] == "started" and one["node"] == node]
             stretches.append((act["at_s"], next((at_s for at_s in starts if at_s > act["at_s"]), session.end_s)))
     return stretches
