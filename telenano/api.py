@@ -107,11 +107,13 @@ class RecordedSession(Session):
         self._kept = KeptSummary(self._paths) if self._paths else None
         self._same_session = same_session
         self._source = open_recordings(self._paths, same_session=same_session)
+        # The files are opened again later, perhaps from another working folder.
+        self._paths = [path.absolute() for path in self._paths]
 
     def __reduce__(self) -> tuple[Any, ...]:
         # Another process opens the files again; what is known of them goes with it.
         known = {"_judged": self._judged} if self.is_judged else {}
-        return RecordedSession._opened, ([path.absolute() for path in self._paths], self._same_session, known)
+        return RecordedSession._opened, (self._paths, self._same_session, known)
 
     @classmethod
     def _opened(cls, paths: list[Path], same_session: bool, known: dict[str, Any]) -> "RecordedSession":

@@ -24,7 +24,8 @@ from telenano.cli.option_rules import Void, rules
 from telenano.cli.options import SameSessionOption, SiteFileOption
 from telenano.cli.output import report_errors, say
 from telenano.launcher.restart_policy import RestartTracker
-from telenano.recording.multi_file import RecordingSource, open_recordings, recordings_of
+from telenano.recording.multi_file import RecordingSource, open_recordings
+from telenano.recording.session_folder import recordings_of
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.runtime.loop.realtime import behind_others

@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from telenano.recording.multi_file import RecordingSource as RecordingSource
     from telenano.recording.multi_file import files_of as files_of
     from telenano.recording.multi_file import open_recordings as open_recordings
-    from telenano.recording.multi_file import recordings_of as recordings_of
     from telenano.recording.provenance import versions as versions
     from telenano.recording.quantities import quantity as quantity
     from telenano.recording.reader import Recording as Recording
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from telenano.recording.rewrite import CopyResult as CopyResult
     from telenano.recording.rewrite import filter_recording as filter_recording
     from telenano.recording.session_folder import SessionFolder as SessionFolder
+    from telenano.recording.session_folder import recordings_of as recordings_of
     from telenano.recording.session_identity import demand_several as demand_several
     from telenano.recording.site_clock import Timeline as Timeline
     from telenano.recording.tables import columns_of as columns_of

@@ -9,7 +9,7 @@ from telenano.recording.messages import ChannelFilter, LeftOut, RecordedChannel,
 from telenano.recording.reader import Piece, Recording, SeeMessage, info_of
 from telenano.recording.recorded_fields import RecordedFields
 from telenano.recording.session_identity import one_session
-from telenano.wire.errors import NoRecordingError, RecordingError
+from telenano.wire.errors import RecordingError
 
 
 class RecordingSource(RecordedFields, Protocol):
@@ -108,22 +108,6 @@ class MultiFileRecording(RecordedFields):
         for file in self.files:
             newest |= file.newest_before(time_ns, wanted)
         return newest
-
-
-def recordings_of(path: Path) -> list[Path]:
-    """Return a path itself, or all parts `session*.mcap` of the recording in a folder, sorted by name.
-
-    Raises:
-        NoRecordingError: The folder has no recording.
-    """
-    if not path.is_dir():
-        return [path]
-    paths = sorted(path.glob("session*.mcap"))
-    if not paths:
-        raise NoRecordingError(
-            f"{path}: has no session.mcap in it; give a recording, or the folder of `telenano up --out`"
-        )
-    return paths
 
 
 def files_of(recording: RecordingSource) -> list[Recording]:

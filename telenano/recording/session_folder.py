@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from telenano.wire.errors import RecordingError
+from telenano.wire.errors import NoRecordingError, RecordingError
 
 RECORDING_NAME = "session.mcap"
 # The list of the files that the other site recorded.
@@ -15,6 +15,22 @@ FAR_LIST = "far.json"
 # The recording of both sites.
 _MERGED_NAME = "both.mcap"
 _PART = re.compile(r"session(?:_([0-9]{1,9}))?\.mcap")
+
+
+def recordings_of(path: Path) -> list[Path]:
+    """Return a path itself, or all parts `session*.mcap` of the recording in a folder, sorted by name.
+
+    Raises:
+        NoRecordingError: The folder has no recording.
+    """
+    if not path.is_dir():
+        return [path]
+    paths = sorted(path.glob("session*.mcap"))
+    if not paths:
+        raise NoRecordingError(
+            f"{path}: has no session.mcap in it; give a recording, or the folder of `telenano up --out`"
+        )
+    return paths
 
 
 class SessionFolder:

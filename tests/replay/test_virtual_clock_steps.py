@@ -33,6 +33,7 @@ MAY_ASK = {
     "telenano/analysis/page.py": "the date in the foot of a page",
     "telenano/testing/conformance/examination.py": "whether the clock of a client is that of this machine",
     "telenano/cli/commands/simulate.py": "the date in the name of the folder of a session",
+    "telenano/virtual/simulate.py": "the date in the name of the folder of a session",
     "telenano/console/last_seen.py": "how long ago a person's device was last recorded",
     "telenano/timing/clock.py": "once, at the start of the first process, for the stamps of all",
     "telenano/launcher/rigs.py": "when a rig began, for a person who lists the rigs",

@@ -46,7 +46,7 @@ def _file(path: Path) -> Path:
 
 def _files(paths: list[Path]) -> list[Path]:
     """Return the recordings that paths name: themselves, or all parts of the recording of a session's folder."""
-    from telenano.recording.multi_file import recordings_of
+    from telenano.recording.session_folder import recordings_of
 
     return [part for path in paths for part in recordings_of(path)]
 

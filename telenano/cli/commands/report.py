@@ -13,7 +13,7 @@ from telenano.cli.option_rules import Void, rules
 from telenano.cli.options import FormatOption, JobsOption, JsonOption, SameSessionOption, StyleOption
 from telenano.cli.output import fail_incomplete, fail_with_summary, print_answer, print_summary, report_errors
 from telenano.cli.sweep import run_children
-from telenano.recording.multi_file import recordings_of
+from telenano.recording.session_folder import recordings_of
 from telenano.signals.children import processors
 from telenano.wire.errors import ConfigError, NoRecordingError, ReportError
 

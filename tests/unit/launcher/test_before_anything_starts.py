@@ -35,7 +35,7 @@ def test_a_map_that_is_not_there_or_is_none_is_named_with_its_key(tmp_path: Path
     (tmp_path / "text.npz").write_text("no map")
     for name, why in (("absent.npz", "cannot be read: No such file or directory"), ("text.npz", "")):
         said = refusal_of(tmp_path, f"afm_node.sample.map={tmp_path / name}")
-        assert f"fig12.yaml + --set: afm_node.sample.map: {tmp_path / name}: {why}" in said
+        assert f"fig12 + --set: afm_node.sample.map: {tmp_path / name}: {why}" in said
         assert "\n" not in said
 
 

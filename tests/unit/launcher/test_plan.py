@@ -10,7 +10,7 @@ from telenano.launcher.run import disk_warning
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from telenano.settings.config import read_yaml
-from telenano.settings.included import SCENARIO_DIRECTORY, known_scenarios
+from telenano.settings.included import known_scenarios
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import LAUNCHER, OPTIONAL_NODES, PAGE, RECORDER, START_ORDER, STOP_ORDER
 
@@ -69,7 +69,7 @@ def test_what_replaces_a_key_of_a_profile_is_said_with_where_it_came_from(tmp_pa
     assert make_plan(request(tmp_path, **satellite), tmp_path).warning == ""
     plan = make_plan(request(tmp_path, round_trip_ms=40.0, **satellite), tmp_path)
     assert plan.warning == (
-        f"{SCENARIO_DIRECTORY / 'fig12.yaml'} + --set + --round-trip-ms: delay_node: the profile satellite is changed: "
+        "fig12 + --set + --round-trip-ms: delay_node: the profile satellite is changed: "
         "forward.delay_s is 0.02, not 0.31, backward.delay_s is 0.02, not 0.29"
     )
     # where no link is started its settings are those of whoever starts it
@@ -163,7 +163,7 @@ def test_a_file_that_is_not_there_is_named_where_one_types_before_anything_start
     tmp_path: Path, setting: str, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(ConfigError, match=f"fig12.yaml .*{said.replace('HERE', str(tmp_path))}"):
+    with pytest.raises(ConfigError, match=f"fig12 .*{said.replace('HERE', str(tmp_path))}"):
         make_plan(request(tmp_path, settings=(setting,)), tmp_path)
 
 
