@@ -474,6 +474,9 @@ def _fit(shape: Shape, power: Array, start: tuple[float, float, float]) -> _Fit:
             move = np.linalg.solve(information, slopes @ (power * np.exp(-present) - 1.0))
         except np.linalg.LinAlgError:
             break
+        if not np.isfinite(move).all():
+            # The density is not positive here, or a step away.
+            break
         share = 1.0
         while share > 1e-6:
             after = free + share * move
