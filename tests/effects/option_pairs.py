@@ -42,8 +42,8 @@ TO_A_RIG: Mapping[str, str] = {
     "view": "view --certificate none.pem --key none.pem",
 }
 WORDS: Mapping[str, str] = {**TO_A_RIG, **COMMANDS}
-# Options that let a command wait for a person, by command.
-ENDLESS = ("replay --loop", "replay --paused")
+# Options that let a command wait for a person, or start rigs of real processes, by command.
+ENDLESS = ("replay --loop", "replay --paused", "experiment run --apparatus")
 
 
 def pairs() -> Iterator[tuple[str, Any, Any]]:
