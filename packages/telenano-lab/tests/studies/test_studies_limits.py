@@ -3,9 +3,10 @@
 from itertools import product
 from typing import Any
 
+import numpy as np
 import pytest
 from telenano_lab.studies.loops.cells import LAWS as INSTALLED
-from telenano_lab.studies.loops.cells import Cell, CellResult, run_cell
+from telenano_lab.studies.loops.cells import Cell, CellResult, hold_ratio, run_cell
 
 LAWS = ("wave", "passivity", "model_mediated")
 # These come with telenano-laws, and are tried where it is installed.
@@ -80,3 +81,10 @@ def test_behind_the_clamp_nine_tenths_of_its_limit_are_pressed_no_harder_than_th
     results = [at_share(law, 0.9, line, seed, settings=(("clamp.enabled", True),)) for line, seed in lines]
     assert [each for each in results if each.peak_n is None or each.peak_n > MOST_CLAMPED_N] == []
     assert [each for each in results if each.lowest_energy_j < LEAST_CLAMPED_J] == []
+
+
+@pytest.mark.parametrize(
+    ("force_n", "ratio"), [([0.5, 0.25], 3.0), ([0.5, 0.0], None), ([0.5, 1e-310], None), ([], None)]
+)
+def test_the_ratio_of_a_hold_is_a_number_or_none(force_n: list[float], ratio: float | None) -> None:
+    assert hold_ratio(np.ones(len(force_n)), np.array(force_n)) == ratio

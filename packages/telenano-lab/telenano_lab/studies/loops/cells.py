@@ -74,6 +74,8 @@ _HOLD_S: dict[str, float] = {**dict.fromkeys(DEFAULT_STIFFNESS, 6.0), "tip_sampl
 _HOLD_ROUND_TRIPS = 40.0
 # The limits of every cell's instrument.
 _LIMITS = AfmConfig().to_guard()
+# A force at the hand that is smaller is no contact, and the ratio to it may be no number [N].
+_PRESSED_N = 1e-12
 # The first part of a hold, which is not judged, is the response to the step before it.
 _TRANSIENT_SHARE = 0.2
 _SHORTEST_HOLD_S = 1.0
@@ -445,14 +447,13 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
     hold = slice(min(first, ended), ended)
     later = slice((hold.start + hold.stop) // 2, hold.stop)
     peak_n = float(force[:ended].max(initial=0.0))
-    pressed = force[hold] > 0.0
     return CellResult(
         cell,
         judgement.verdict,
         judgement.growth_per_s,
         judgement.peak_to_peak_n,
         1.0 - float(course.in_contact[hold].mean()) if ended > first else 1.0,
-        float(np.mean(course.hand_force_n[hold] / force[hold])) if pressed.size and pressed.all() else None,
+        hold_ratio(course.hand_force_n[hold], force[hold]),
         float(energies_of(course, scales).stored_j.min()),
         ended < len(lost),
         judgement.reason,
@@ -462,6 +463,12 @@ def judged(cell: Cell, course: Trajectory) -> CellResult:
         float(np.mean(~course.follows | ~course.hand_following)),
         judgement.facts,
     )
+
+
+def hold_ratio(hand_n: Series, force_n: Series) -> float | None:
+    """Return the mean ratio of the forces of hand and scaled tip [N], shapes (n,); None out of contact."""
+    pressed = force_n > _PRESSED_N
+    return float(np.mean(hand_n / force_n)) if pressed.size and pressed.all() else None
 
 
 def _held(course: Trajectory, scales: "Scales", part: slice) -> tuple[float | None, float | None, float | None]:
