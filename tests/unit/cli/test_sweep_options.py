@@ -212,6 +212,8 @@ def test_an_interruption_ends_the_running_session_and_begins_no_other(
         return {}
 
     monkeypatch.setattr(sweep, "run_session", run)
+    # Background processes of a shell ignore this signal, and so do their children, this process among them.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     with pytest.raises(KeyboardInterrupt):
         run_sweep(POINTS, [], tmp_path, Kept(tmp_path), SETTINGS)
     assert (begun, ended) == (["law=wave", "law=smith"], [True])
