@@ -28,9 +28,9 @@ from telenano.analysis.verdict_thresholds import (
 )
 
 Series = npt.NDArray[np.float64]
-# parts of a hold whose sizes are compared [1]
+# Number of parts of a hold whose sizes are compared [1].
 _PARTS = 10
-# findings that the sizes may turn to one that the motion goes on
+# The sizes may turn these findings to one that the motion goes on.
 _OPEN = (Cause.IRREGULAR_UNKNOWN, Cause.LIKE_NOISE, Cause.CHANGE_UNKNOWN)
 
 
@@ -114,14 +114,14 @@ def checked(found: Finding, motion: Motion, window: Window | None) -> Finding:
         found = found._replace(size_n=max(found.size_n, end_n))
         share = len(window.values) / len(motion.values) if window is not None else 1.0
         if found.cause is Cause.AT_REST and parts.turns >= 2.0 * FEW_TURNS > 2.0 * share * parts.turns:
-            # it rests for fewer turns than show a rest, unless it was small before
+            # The last part has fewer turns than show a rest, unless the motion was small before.
             is_short = not is_small(parts, small_n)
         if window is not None and len(window.values) >= LEAST_SAMPLES * _PARTS and not (again or is_short):
             parts = parts_of(unexplained(window), noise, small_n)
     elif motion.free is None:
         return found
     is_noise = motion.free is None and not has_band(parts.moved)
-    # a motion that dies out by its modes may leave something until it has
+    # A motion that dies out by its modes may leave something until it has died.
     tenths = 2 if found.cause is Cause.DIES_OUT else 3
     is_quiet = not (again or is_short) and is_small(parts, small_n, tenths)
     if is_noise or is_quiet or parts.turns < (1.0 if is_stable else 2.0) * FEW_TURNS:
@@ -129,7 +129,7 @@ def checked(found: Finding, motion: Motion, window: Window | None) -> Finding:
     goes_on, falls = _course(parts, small_n, again)
     if falls:
         return found
-    # what comes again may pause at the end
+    # A motion that comes again may pause at the end.
     size_n = max(parts.reaches[-len(parts.reaches) // (2 if again else 5) :])
     told = Finding("cannot_say", Cause.IRREGULAR_UNKNOWN, size_n, None, size_n)
     if goes_on and parts.turns >= 2.0 * FEW_TURNS:

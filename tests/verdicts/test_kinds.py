@@ -39,7 +39,7 @@ def test_an_irregular_motion_moves_by_a_tenth_of_the_hands_force_in_most_eighths
 def test_few_courses_of_a_kind_are_judged_wrongly(kind: str) -> None:
     answers = [answer(judge_course, kind_course(kind, seed)) for seed in range(4)]
     assert sum(confusion.false_alarm(one) or confusion.missed_swing(one) for one in answers) == 0, answers
-    # where the hold shows too little of a way nothing can be said
+    # Nothing can be said where the hold shows too little of a way.
     assert kind == "begun_way" or sum(one.kind == "cannot_say" for one in answers) <= 2, answers
 
 

@@ -50,6 +50,7 @@ class LocalConnections:
         self.connections = [
             NodeConnection(endpoint, node=node, since_ns=now_ns) for node, endpoint in endpoints.items()
         ]
+        self._at = {connection.endpoint: connection for connection in self.connections}
         self.monitor = Monitor(subscriber.socket, LOCAL_ENDS)
         self._clock = clock
         self._events: list[ConnectionEvent] = []
@@ -68,7 +69,7 @@ class LocalConnections:
     def process_events(self) -> bool:
         """Update the state of the connections from monitor events; return True if more events are pending."""
         for event in self.monitor.events():
-            connection = self._find(event.endpoint)
+            connection = self._at.get(event.endpoint)
             # An event of a connection that this process has let go may come late.
             if connection is not None and not connection.detached:
                 self._record(connection, event)
@@ -131,17 +132,6 @@ class LocalConnections:
         except zmq.ZMQError as error:
             if error.errno != errno.ENOENT:
                 raise
-
-    def _find(self, endpoint: str) -> NodeConnection | None:
-        """Return the connection of an endpoint as libzmq reports it, None if there is none.
-
-        libzmq may have resolved a host name to an address. The port then identifies the connection, because all these
-        nodes are on one machine with one address.
-        """
-        exact = [each for each in self.connections if each.endpoint == endpoint]
-        port = endpoint.rpartition(":")[2]
-        same_port = (each for each in self.connections if each.endpoint.rpartition(":")[2] == port)
-        return next(iter(exact or same_port), None)
 
     def _report(self, level: str, text: str, connection: NodeConnection, state: str, **data: float) -> None:
         facts: dict[str, bool | float | str] = {"peer": connection.node, "endpoint": connection.endpoint}

@@ -2,8 +2,8 @@
 
 libzmq accepts every local connection, and it aborts the process if no descriptor is left for one. It also queues the
 messages of ten seconds for each reader that stands still, whoever that is. So a loop looks at these connections with
-each report: of too many the oldest are closed, and so is one on which nothing is read, unless its reader is a node of
-the site file. A reader that goes on connects again by itself.
+each report: of too many the oldest are closed, and so is one whose reader does not keep up, unless that is a node of
+the site file or the process that serves the observers. A reader that goes on connects again by itself.
 
 The system says all of this of an open descriptor, so libzmq is not asked, and no node waits for another one. The module
 imports no models, because the fan-out starts with each session.
@@ -55,7 +55,8 @@ class LocalReaders:
     """The connections to the ipc endpoints of this process.
 
     Args:
-        holders: Returns the processes of the nodes of the site file, for which messages are queued in full.
+        holders: Returns the processes for which messages are queued in full: those of the nodes of the site file, and
+            the one that serves the observers.
         room: Returns the number of descriptors of this process that are left for connections; None if unlimited.
     """
 

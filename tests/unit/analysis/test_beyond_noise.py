@@ -96,7 +96,7 @@ def test_a_motion_that_begins_three_times_comes_again_until_it_pauses_for_longer
     assert comes_again(parts(*bursts, 0.0, 0.0, 0.0), 0.05) is False
     assert comes_again(parts(0.0, 0.0, *bursts, 0.0), 0.05) is True
     assert comes_again(parts(0.3, 0.0, 0.3, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0), 0.05) is False
-    # what is just not small begins nothing
+    # A motion that is just not small begins nothing.
     assert comes_again(parts(*[0.09, 0.0] * 5), 0.05) is False
 
 

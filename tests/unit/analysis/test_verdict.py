@@ -41,7 +41,7 @@ def test_growth_rate_is_the_real_part_of_the_mode(growth: float, frequency: floa
     [
         (-0.4, 0.3, "stable"),
         (0.4, 0.3, "diverged"),
-        # what grows from next to nothing is rest as long as it is small
+        # A motion that grows from next to nothing is rest as long as it is small.
         (0.4, 1e-4, "stable"),
         (0.4, 1.05e-3, "diverged"),
         (0.0, 0.3, "limit_cycle"),
@@ -138,7 +138,7 @@ def test_a_swing_that_grows_is_seen_whatever_its_phase(frequency_hz: float, grow
         swing = np.exp(growth_per_s * (TIME_S - 8.0)) * np.sin(2.0 * np.pi * frequency_hz * TIME_S + phase)
         found, small = (judge(TIME_S, 1.0 + end_n * swing, 1.0) for end_n in (0.04, 0.004))
         assert found.kind == "diverged", found
-        # below a twentieth of the hand's force it is rest, and grows
+        # Below a twentieth of the hand's force the motion is rest, and grows.
         assert (small.kind, small.cause) == ("stable", Cause.GROWS_SMALL), small
         assert small.growth_per_s == pytest.approx(growth_per_s, rel=0.01)
 

@@ -78,7 +78,7 @@ def test_the_law_of_the_cells_is_taken_and_each_that_is_not_suited_has_what_disq
     assert found.take.law == "wave"
     assert found.reasons["wave"] == ""
     assert found.reasons["passivity"] == "3 of 12 runs on this line: 3 diverged; the first: it grows"
-    # what held all of its trials is suited, and comes after what the runs of the benchmark put before it
+    # A law that held all of its trials is suited, and comes after those that the runs of the benchmark put before it.
     assert found.reasons["smith"] == ""
     behind = [one.law for one in found.laws if found.by_law.get(one.law) and found.by_law[one.law].is_behind]
     assert "smith" in behind
