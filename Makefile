@@ -92,8 +92,9 @@ demo: ## Set up what the rig needs and run the experiment of Fig. 12.
 	$(BIN)/telenano up fig12 --set realtime.rate_hz=500 --out $(OUT) --overwrite
 
 # Files in the order of their names: sorted by how many tests they have, those of a single long test would come last, and
-# one processor would wait for the other.
-SIDE_BY_SIDE := -n 2 --dist loadfile --no-loadscope-reorder
+# one processor would wait for the other. A worker that dies ends the run with the name of its test: one that takes its
+# place would run that test again.
+SIDE_BY_SIDE := -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
 # Lint and types are checked beside the tests and printed after them; then the rig has the machine to itself.
 # PACKAGE=laws runs the tests of packages/telenano-laws alone. A page that is older than its sources is built anew; what
