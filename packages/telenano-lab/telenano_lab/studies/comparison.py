@@ -38,7 +38,7 @@ _COLUMNS = (
 
 
 # A pattern such as `out/delay/*` also matches the results of sessions, which have these suffixes.
-_RESULTS = (".csv", ".json", ".mat", ".parquet", ".pdf", ".png", ".svg")
+_RESULTS = (".csv", ".json", ".jsonl", ".mat", ".parquet", ".pdf", ".png", ".svg")
 # Each file of published points has a marker of its own.
 _MARKERS = "osD^v"
 Floats = npt.NDArray[np.float64]
@@ -244,10 +244,12 @@ def compare_figures(
 ) -> "list[Figure]":
     """Draw sessions for comparison: each condition has a colour, and each of its sessions is a thin line.
 
-    Up to six conditions are drawn over one another in three panels, alpha_f F_s, x_m, and F_s against h, with F_m of
-    the first session for reference. With more conditions each has a panel of its own with alpha_f F_s, all with the
-    same axes, in as many figures as needed. A session that diverged is dotted and does not stretch the axes of the
-    others; a cross marks where it leaves them. Published points are drawn beneath, with their errors.
+    Up to six conditions are drawn over one another in two panels, alpha_f F_s with F_m of the first session for
+    reference, and x_m. F_s against h lies on one curve of the sample whatever the condition, so each condition has a
+    panel with it, all with the same axes, over the path of the first. With more than six conditions each has a panel
+    with alpha_f F_s alone, all with the same axes, in as many figures as needed. A session that diverged is dotted and
+    does not stretch the axes of the others; a cross marks where it leaves them. Published points are drawn beneath,
+    with their errors.
     """
     from matplotlib.figure import Figure
 
@@ -258,18 +260,39 @@ def compare_figures(
     with options.styled():
         if len(conditions) > len(LINES):
             parts = (slice(first, first + _ON_A_PAGE) for first in range(0, len(conditions), _ON_A_PAGE))
-            return [_multiples(conditions[part], drawn[part], options, published, limits[:1]) for part in parts]
+            return [_multiples(conditions[part], drawn[part], options, published, limits[0]) for part in parts]
         paper = options.style == "paper"
-        figure = Figure(figsize=(FigureOptions.COLUMN_IN, 6.6) if paper else (7.6, 9.4), layout="constrained")
-        panels = list(figure.subplots(3, 1))
-        _draw_reference(panels[0], sessions[0], f"$F_m$, {sessions[0].name}", 2.4)
-        for condition, own, look in zip(conditions, drawn, looks(len(conditions)), strict=True):
-            _draw(panels, own, look, f"{condition.label}: {condition.outcome}")
-        _draw_published(panels, published)
-        _limit(panels, everyone, limits)
-        _limit_distance(panels[2], everyone)
-        for panel, (x, y) in zip(panels, _AXES, strict=True):
+        columns = min(len(conditions), 2 if paper else 3)
+        rows = math.ceil(len(conditions) / columns)
+        width, height = (FigureOptions.COLUMN_IN, 2.2) if paper else (7.6, 3.1)
+        figure = Figure(figsize=(width, height * (2 + rows)), layout="constrained")
+        grid = figure.add_gridspec(2 + rows, columns)
+        force, position = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, :])
+        paths: list[Axes] = []
+        for number in range(len(conditions)):
+            beside = paths[0] if paths else None
+            place = grid[2 + number // columns, number % columns]
+            paths.append(figure.add_subplot(place, sharex=beside, sharey=beside))
+        _draw_reference(force, sessions[0], f"$F_m$, {sessions[0].name}", 2.4)
+        for condition, own, look, path in zip(conditions, drawn, looks(len(conditions)), paths, strict=True):
+            _draw([force, position, path], own, look, f"{condition.label}: {condition.outcome}")
+            if path is not paths[0]:
+                path.plot(*drawn[0][0].curves[2], color=FigureOptions.REFERENCE, lw=2.4, zorder=0)
+            _limit(path, own, 2, limits[2])
+            _draw_published([path], published, first=2)
+        _draw_published([force, position], published)
+        for place, panel in enumerate((force, position)):
+            _limit(panel, everyone, place, limits[place])
+        _limit_distance(paths[0], everyone)
+        panels = [force, position, *paths]
+        for panel, (x, y) in zip(panels, (*_AXES[:2], *(_AXES[2:] * len(paths))), strict=True):
             panel.set(xlabel=x, ylabel=y)
+        for number, path in enumerate(paths):
+            if columns > 1:
+                path.set_xlabel("distance h (nm)")
+            if number % columns:
+                path.set_ylabel("")
+                path.tick_params(labelleft=False)
         options.lettered(panels)
         _legend(figure, panels, 1 if paper else 2)
     return [figure]
@@ -280,7 +303,7 @@ def _multiples(
     drawn: Sequence[Sequence[Drawn]],
     options: FigureOptions,
     published: Sequence[PublishedPoints],
-    limits: Sequence[Limits],
+    limits: Limits,
 ) -> "Figure":
     """Draw a panel for each condition, with alpha_f F_s of its sessions and F_m of the first for reference."""
     from matplotlib.figure import Figure
@@ -297,7 +320,7 @@ def _multiples(
         _draw_reference(panel, condition.sessions[0], "$F_m$", 2.0)
         _draw([panel], own, Look("#0072b2", "-", "o"), r"$\alpha_f F_s$")
         _draw_published([panel], published)
-        _limit([panel], own, limits)
+        _limit(panel, own, 0, limits)
         # A title wider than its panel would overlap the next one.
         lines = textwrap.wrap(f"{condition.label}: {condition.outcome}", 30 if paper else 44)
         panel.set_title("\n".join(lines), loc="left", fontsize=6 if paper else 8)
@@ -323,9 +346,9 @@ def _legend(figure: "Figure", panels: "Sequence[Axes]", columns: int) -> None:
     figure.legend(named.values(), named.keys(), loc="outside lower left", ncols=columns, fontsize=8, frameon=False)
 
 
-def _draw_published(panels: "Sequence[Axes]", published: Sequence[PublishedPoints]) -> None:
-    """Draw published points into the panels of their curves, with one marker for each file."""
-    curves = (("tip_force", "hand_force"), ("hand_position",), ("tip_path",))
+def _draw_published(panels: "Sequence[Axes]", published: Sequence[PublishedPoints], first: int = 0) -> None:
+    """Draw published points into the panels of their curves, from that of a place on; each file has a marker."""
+    curves = (("tip_force", "hand_force"), ("hand_position",), ("tip_path",))[first:]
     for number, file in enumerate(published):
         look: dict[str, Any] = {
             "marker": _MARKERS[number % len(_MARKERS)],
@@ -379,16 +402,22 @@ def _limit_distance(panel: "Axes", drawn: Sequence[Drawn]) -> None:
         panel.set_xlim(low - margin, high + margin)
 
 
-def _limit(panels: "Sequence[Axes]", drawn: Sequence[Drawn], limits: Sequence[Limits]) -> None:
-    """Set the ordinates, and mark with a cross where a session that diverged first leaves a panel."""
-    for place, (panel, bounds) in enumerate(zip(panels, limits, strict=True)):
-        panel.axhline(0.0, color="0.8", lw=0.8, zorder=-1)
-        if bounds is None:
-            continue
-        panel.set_ylim(bounds)
-        for x, y in (session.curves[place] for session in drawn if session.diverged):
-            outside = np.flatnonzero((y < bounds[0]) | (y > bounds[1]))
-            if outside.size:
-                at = outside[0]
-                look: dict[str, Any] = {"color": "0.1", "ms": 6.0, "clip_on": False, "label": _LEAVES}
-                panel.plot([x[at]], [np.clip(y[at], *bounds)], "x", **look)
+def _limit(panel: "Axes", drawn: Sequence[Drawn], place: int, bounds: Limits) -> None:
+    """Set the ordinate, and mark with a cross where the curve of a session that diverged first leaves the panel.
+
+    Args:
+        panel: The panel.
+        drawn: The sessions in it.
+        place: The place of their curve in `Drawn.curves`.
+        bounds: The limits of the ordinate; None leaves it as it is.
+    """
+    panel.axhline(0.0, color="0.8", lw=0.8, zorder=-1)
+    if bounds is None:
+        return
+    panel.set_ylim(bounds)
+    for x, y in (session.curves[place] for session in drawn if session.diverged):
+        outside = np.flatnonzero((y < bounds[0]) | (y > bounds[1]))
+        if outside.size:
+            at = outside[0]
+            look: dict[str, Any] = {"color": "0.1", "ms": 6.0, "clip_on": False, "label": _LEAVES}
+            panel.plot([x[at]], [np.clip(y[at], *bounds)], "x", **look)

@@ -48,7 +48,7 @@ def test_the_figure_is_written_in_every_format_with_every_session(compared: tupl
     out, _ = compared
     assert (out / "compare.png").stat().st_size > 20_000
     text = (out / "compare.svg").read_text()
-    assert all(word in text for word in ("a: ", "b: ", "(a)", "(c)", "tip-sample distance h (nm)"))
+    assert all(word in text for word in ("a: ", "b: ", "(a)", "(c)", "(d)", "distance h (nm)"))
 
 
 def test_one_session_and_a_folder_without_one_are_refused(tmp_path: Path) -> None:
@@ -61,7 +61,7 @@ def test_one_session_and_a_folder_without_one_are_refused(tmp_path: Path) -> Non
 def test_the_results_of_a_sweep_beside_its_sessions_are_no_sessions(tmp_path: Path) -> None:
     """`compare out/delay/*` gives the figure and the tables of the sweep with its folders."""
     (tmp_path / "round_trip_ms=0").mkdir()
-    for name in ("compare.csv", "compare.json", "compare.png", "session.mcap"):
+    for name in ("compare.csv", "compare.json", "compare.png", "session.mcap", "sessions.jsonl"):
         (tmp_path / name).touch()
     assert [path.name for path in sessions_in(sorted(tmp_path.glob("*")))] == ["round_trip_ms=0", "session.mcap"]
 

@@ -49,11 +49,15 @@ def curves(axes: Axes) -> list[Any]:
 
 def test_each_condition_is_a_colour_and_its_seeds_share_it() -> None:
     (figure,) = compare_figures(drawn(6, 3))
-    for panel in figure.axes:
+    for panel in figure.axes[:2]:
         seen = [(line.get_color(), line.get_linestyle()) for line in curves(panel)]
         assert len(seen) == 18
         assert len(set(seen)) == 6
         assert all(len(set(seen[place : place + 3])) == 1 for place in range(0, 18, 3))
+    # Force against distance lies on one curve, so that each condition has a panel of it, on the same axes.
+    paths = figure.axes[2:]
+    assert [[line.get_color() for line in curves(panel)] for panel in paths] == [[colour] * 3 for colour, _ in seen[::3]]
+    assert len({(panel.get_xlim(), panel.get_ylim()) for panel in paths}) == 1
     (legend,) = figure.legends
     texts = [text.get_text() for text in legend.get_texts()]
     assert texts[1:] == [f"wave, 20 ms, gain {number}: 3 of 3 stable" for number in range(6)]
