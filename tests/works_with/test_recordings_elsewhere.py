@@ -1,10 +1,10 @@
-"""Recordings in readers of MCAP that are not Python's: those of Node, for the recording itself and for viewers."""
+"""Recordings in readers of MCAP that telenano does not use: those of Node, and that of the viewer Rerun."""
 
 import json
 from pathlib import Path
 
 import pytest
-from foreign_programs import node_program
+from foreign_programs import node_program, python_program
 from made_recording import WANTED, recording_in
 from planted_errors import each_error, judge
 
@@ -52,3 +52,33 @@ def test_node_reads_a_recording(tmp_path: Path, form: str, error: str) -> None:
     script.write_text(MCAP.replace("BEGUN", str(EPOCH_NS)), encoding="utf-8")
     found = json.loads(node.having(READER_PACKAGES=node.folder).run(script, path, form))
     judge(error, WANTED, found, rtol=0.0)
+
+
+RERUN = """
+import json, sys
+from rerun.chunk import McapReader
+messages = {}
+for chunk in McapReader(sys.argv[1]).stream():
+    rows = chunk.to_record_batch()
+    for name in rows.schema.names:
+        if name.endswith(":message"):
+            messages.setdefault(chunk.entity_path, []).extend(cell[0] for cell in rows.column(name).to_pylist())
+hand, forward = messages["/haptic/state"], messages["/teleop/forward"]
+print(json.dumps({
+    "position": [each["position_m"] for each in hand],
+    "force": [each["operator_force_n"] for each in hand],
+    "limited": [each["limited"] for each in hand],
+    "late_ns": [each["t_ns"] - BEGUN for each in hand],
+    "energy": [each["energy_j"] for each in forward],
+}))
+"""
+
+
+@each_error
+def test_rerun_reads_what_is_exported_for_it(tmp_path: Path, error: str) -> None:
+    rerun = python_program("rerun-sdk==0.41.0").having(HOME=tmp_path)
+    # It would report its use elsewhere.
+    rerun.run("-m", "rerun", "analytics", "disable")
+    export_recording(recording_in(tmp_path, error), tmp_path / "viewer.mcap", "protobuf")
+    found = rerun.run("-c", RERUN.replace("BEGUN", str(EPOCH_NS)), tmp_path / "viewer.mcap")
+    judge(error, WANTED, json.loads(found), rtol=0.0)
