@@ -75,12 +75,17 @@ def spawning_workers() -> Iterator[None]:
 
 
 def in_processes(
-    jobs: int, function: Callable[[Task], Made], tasks: Sequence[Task]
+    jobs: int | None, function: Callable[[Task], Made], tasks: Sequence[Task]
 ) -> Generator[tuple[int, Made], None, None]:
     """Call a function of the library with each task in processes of this machine; yield place and result as they come.
 
-    The processes end when the reader of their results ends, at once if that is by an exception.
+    `jobs` is the number of processes, None for one a processor; a single one is this process itself. The others end
+    when the reader of their results ends, at once if that is by an exception.
     """
+    jobs = min(jobs or processors(), len(tasks))
+    if jobs < 2:
+        yield from ((place, function(task)) for place, task in enumerate(tasks))
+        return
     # Imported here, because they take a tenth of the start of a process, and few have workers.
     from concurrent.futures import ProcessPoolExecutor, as_completed
     from multiprocessing import active_children, get_context
@@ -89,7 +94,7 @@ def in_processes(
     # process itself, which tracks its semaphores.
     others = set(active_children())
     with spawning_workers():
-        pool = ProcessPoolExecutor(min(jobs, len(tasks)), get_context("spawn"))
+        pool = ProcessPoolExecutor(jobs, get_context("spawn"))
     try:
         with spawning_workers():
             places = {pool.submit(function, task): place for place, task in enumerate(tasks)}

@@ -256,13 +256,13 @@ def by_sweep(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
         "from telenano.signals import children\n"
         "if __name__ == '__main__':\n"
         f"    {safe}\n"
-        "    print(list(children.in_processes(1, abs, [-7])), 'PYTHONSAFEPATH' in os.environ)\n"
+        "    print(sorted(children.in_processes(2, abs, [-7, -8])), 'PYTHONSAFEPATH' in os.environ)\n"
     )
     script = folder.parent / "bin" / "script.py"
     script.parent.mkdir()
     script.write_text(code)
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)
-    return done.stdout.strip() == "[(0, 7)] False" and not done.stderr
+    return done.stdout.strip() == "[(0, 7), (1, 8)] False" and not done.stderr
 
 
 def by_experiment(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
@@ -311,6 +311,8 @@ STARTED: dict[str, tuple[Start, ...] | str] = {
     "telenano/launcher/processes.py": (by_launcher,),
     "telenano/recording/provenance.py": "git",
     "telenano/virtual/simulate_all.py": "its workers are those of a sweep",
+    "telenano/api.py": "its workers are those of a sweep",
+    "packages/telenano-lab/telenano_lab/studies/comparison.py": "its workers are those of a sweep",
     "telenano/files/limited_child.py": (by_reader, by_watched_reader),
     "telenano/cli/commands/node.py": (by_node_command,),
     "telenano/doctor/checks.py": "Python with -I",

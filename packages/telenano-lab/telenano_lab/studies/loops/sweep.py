@@ -160,8 +160,6 @@ class Sweep:
         batches = [cells[i : i + kind.batch] for i in range(0, len(cells), kind.batch)]
         if self.scheduler is not None:
             yield from _on_cluster(self.scheduler, batches, kind, self.warn)
-        elif self.workers == 1 or len(batches) < 2:
-            yield from (run_batch(batch, kind.run) for batch in batches)
         else:
             run = partial(run_batch, run=kind.run)
             with contextlib.closing(in_processes(self.workers, run, batches)) as computed:
