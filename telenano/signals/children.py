@@ -82,7 +82,7 @@ def in_processes(
     `jobs` is the number of processes, None for one a processor; a single one is this process itself. The others end
     when the reader of their results ends, at once if that is by an exception.
     """
-    jobs = min(jobs or processors(), len(tasks))
+    jobs = min(jobs or len(permitted()), len(tasks))
     if jobs < 2:
         yield from ((place, function(task)) for place, task in enumerate(tasks))
         return
@@ -110,9 +110,9 @@ def in_processes(
         pool.shutdown()
 
 
-def processors() -> int:
-    """Return how many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def permitted() -> set[int]:
+    """Return the numbers of the processors that this process may use."""
+    return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
 
 
 def die_with_parent(signal_number: int) -> None:
