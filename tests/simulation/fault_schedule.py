@@ -37,6 +37,7 @@ from typing import Any, NamedTuple
 Event = dict[str, Any]
 HAND, TIP, LINK = "haptic_node@master", "afm_node@slave", "delay_node@master"
 HALVES = ("controller@master", "controller@slave")
+PAGE = "view@master"
 RECORDERS = ("recorder@master", "recorder@slave")
 NODES = (HAND, TIP, LINK, *HALVES, *RECORDERS)
 # Half of the draws take one of the first two laws.
@@ -63,6 +64,9 @@ CALM_SHARE = 0.1
 CALM_S = 0.7
 RECOVERY_S = 2.0
 SESSION_S = 8.5
+# Who pushes the hand: a profile of force, or a person at the page; an eighth of the sessions have that one.
+OPERATORS = ("profile", "page")
+PAGE_SHARE = 0.125
 # Share of the sessions that end in order among the faults, so that what is away or late then is accounted for as well.
 ABRUPT_SHARE = 0.125
 
@@ -73,7 +77,8 @@ class Schedule(NamedTuple):
     seed: seed of all delays on the sites; law: the law at the start; delay_s: delay of the network in each direction
     [s]; link_s: delay that the link adds in each direction [s]; events: the events in the order of time; rate_hz: the
     rate of the loops [Hz]; force_limit_n: force on the tip above which its guard withdraws it [N]; processes: those of
-    the loop, one of `PROCESSES`; session_s: time from the start of the force profile to the end of the session [s].
+    the loop, one of `PROCESSES`; session_s: time from the start of the force profile to the end of the session [s]; operator: who
+    pushes the hand, one of `OPERATORS`.
     """
 
     seed: int
@@ -85,6 +90,7 @@ class Schedule(NamedTuple):
     force_limit_n: float = 200e-9
     processes: str = "node"
     session_s: float = SESSION_S
+    operator: str = "profile"
 
     @classmethod
     def drawn(cls, seed: int, processes: str | None = None) -> "Schedule":
@@ -111,7 +117,14 @@ class Schedule(NamedTuple):
             ends_s = round(max(one["at_s"] + one.get("for_s", 0.0) for one in events), 4)
             events.append({"at_s": ends_s, "kind": "delay", "forward_s": 0.01, "backward_s": 0.01})
         limit_n, drawn, session_s = dice.choice(FORCE_LIMITS_N), dice.choice(PROCESSES), _session_s(dice)
-        return cls(seed, law, delay_s, link_s, tuple(events), rate_hz, limit_n, processes or drawn, session_s)
+        schedule = cls(seed, law, delay_s, link_s, tuple(events), rate_hz, limit_n, processes or drawn, session_s)
+        return (
+            schedule
+            if is_calm or dice.random() >= PAGE_SHARE
+            else schedule._replace(
+                operator="page", events=tuple(sorted([*events, *_page(dice)], key=lambda one: one["at_s"]))
+            )
+        )
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> "Schedule":
@@ -214,6 +227,14 @@ def _people(dice: random.Random, at_s: float) -> list[Event]:
     if kind == "two":
         return [_arm(dice, at_s), dice.choice([_press, _arm])(dice, at_s)]
     return [{"at_s": at_s, "kind": kind}]
+
+
+def _page(dice: random.Random) -> list[Event]:
+    """Draw moments in which a page sends nothing while its person pushes: it hangs, or its connection is lost."""
+    return [
+        {"at_s": round(dice.uniform(1.0, FAULTS_S), 3), "kind": "stall", "node": PAGE, "for_s": for_s}
+        for for_s in dice.sample([0.08, 0.2, 0.6, 1.5], dice.choice([1, 2]))
+    ]
 
 
 def _meeting(dice: random.Random, at_s: float) -> list[Event]:

@@ -14,12 +14,13 @@ from typing import Any, NamedTuple
 from unittest import mock
 
 import msgspec
-from fault_schedule import LINK, TIP, Event, Schedule
+from fault_schedule import HAND, LINK, PAGE, TIP, Event, Schedule
 
 import services.afm_node.node as afm_node
 import services.controller.master_half as master_half
 import services.delay_node.far_stop as far_stop
 import services.haptic_node.node as haptic_node
+import services.haptic_node.parts as haptic_parts
 from services.controller.half import ControllerHalf
 from telenano.afm import safety as tip_guard
 from telenano.analysis import holds, session_judge
@@ -47,10 +48,12 @@ class Fault(NamedTuple):
     patches: Callable[[], list[Patch]]
     events: tuple[Event, ...] = ()
     law: str = "wave"
+    operator: str = "profile"
 
     def schedule(self, processes: str) -> Schedule:
         """Return a schedule that shows the fault with these processes, and breaks nothing without it."""
-        return Schedule(seed=1, law=self.law, delay_s=0.02, link_s=0.0, events=self.events, processes=processes)
+        own = dict(law=self.law, events=self.events, operator=self.operator)
+        return Schedule(seed=1, delay_s=0.02, link_s=0.0, processes=processes, **own)
 
     @property
     def is_of_report(self) -> bool:
@@ -67,9 +70,9 @@ class Fault(NamedTuple):
 
 
 def _fault(
-    about: str, breaks: str, *patches: Callable[[], Patch], events: Sequence[Event] = (), law: str = "wave"
+    about: str, breaks: str, *patches: Callable[[], Patch], events: Sequence[Event] = (), **session: str
 ) -> Fault:
-    return Fault(about, frozenset(breaks.split()), lambda: [patch() for patch in patches], tuple(events), law)
+    return Fault(about, frozenset(breaks.split()), lambda: [patch() for patch in patches], tuple(events), **session)
 
 
 def _at(at_s: float, kind: str, **facts: Any) -> Event:
@@ -184,6 +187,10 @@ def _unlatched(step: Any) -> Any:
         return step(params, state._replace(estop_latched=state.estop_latched and not inputs.device_lost), inputs, dt)
 
     return fallen
+
+
+def _armed(make: Any) -> Any:
+    return lambda latched, mode, reference_m, armed=True: make(latched, mode, reference_m, armed)
 
 
 def _held_in_motion(next_base: Any) -> Any:
@@ -349,6 +356,19 @@ PLANTED: dict[str, Fault] = {
             _at(0.345, "stall", node="controller@slave", for_s=0.08),
             _at(0.366, "delay", forward_s=0.03, backward_s=0.03),
         ],
+    ),
+    "a push that does not end": _fault(
+        "the hand goes on being pushed by a page that has gone silent",
+        "safe_in_time",
+        _instead(haptic_parts, "age_s", lambda _: lambda now_ns, then_ns: 0.0),
+        events=[_at(2.0, "stall", node=PAGE, for_s=0.6)],
+        operator="page",
+    ),
+    "a hand that begins armed": _fault(
+        "a new process of the hand counts as armed",
+        "stop_is_last",
+        _instead(hand_guard, "SafetyState", _armed),
+        events=[_at(2.0, "kill", node=HAND, after=0, torn=0.0)],
     ),
     "a hand that feels nothing": _fault(
         "a hand counts as one that feels the tip, whenever the last answer came",

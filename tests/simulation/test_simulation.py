@@ -16,7 +16,7 @@ import msgpack
 import outside_judge
 import pytest
 from campaign import INVARIANTS, Tried, tried
-from fault_schedule import HAND, KINDS, LINK, PROCESSES, RATES_HZ, SESSION_S, TIP, Event, Schedule
+from fault_schedule import HAND, KINDS, LINK, OPERATORS, PROCESSES, RATES_HZ, SESSION_S, TIP, Event, Schedule
 from planted import PLANTED
 from reached import SITUATIONS
 from shrunk import MOST_EVENTS, shrunk
@@ -68,6 +68,7 @@ def test_a_schedule_is_data_that_comes_from_its_seed() -> None:
     assert {event["kind"] for one in drawn for event in one.events} == KINDS
     assert {one.rate_hz for one in drawn} == set(RATES_HZ)
     assert {one.processes for one in drawn} == set(PROCESSES)
+    assert {one.operator for one in drawn} == set(OPERATORS)
     assert min(one.session_s for one in drawn) < 2.0
     assert max(one.session_s for one in drawn) == SESSION_S
     ends = {(one["how"]) for each in drawn for one in each.events if one["kind"] == "kill" and "how" in one}
