@@ -77,8 +77,8 @@ class Schedule(NamedTuple):
     seed: seed of all delays on the sites; law: the law at the start; delay_s: delay of the network in each direction
     [s]; link_s: delay that the link adds in each direction [s]; events: the events in the order of time; rate_hz: the
     rate of the loops [Hz]; force_limit_n: force on the tip above which its guard withdraws it [N]; processes: those of
-    the loop, one of `PROCESSES`; session_s: time from the start of the force profile to the end of the session [s]; operator: who
-    pushes the hand, one of `OPERATORS`.
+    the loop, one of `PROCESSES`; session_s: time from the start of the force profile to the end of the session [s];
+    operator: who pushes the hand, one of `OPERATORS`.
     """
 
     seed: int
