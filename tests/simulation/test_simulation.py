@@ -222,6 +222,14 @@ MENDED = {
         ),
         100.0,
     ),
+    "the step in which a stop ends a contact is no step of the contact": Schedule(
+        96000050,
+        "wave",
+        0.05,
+        0.01,
+        ({"at_s": 2.106, "kind": "press", "site": "slave", "target": "afm_node"},),
+        100.0,
+    ),
     "a tip that the start of the session places was not moved by an earlier arming": Schedule(
         15200063,
         "virtual_impedance",
