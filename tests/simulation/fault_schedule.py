@@ -118,13 +118,10 @@ class Schedule(NamedTuple):
             events.append({"at_s": ends_s, "kind": "delay", "forward_s": 0.01, "backward_s": 0.01})
         limit_n, drawn, session_s = dice.choice(FORCE_LIMITS_N), dice.choice(PROCESSES), _session_s(dice)
         schedule = cls(seed, law, delay_s, link_s, tuple(events), rate_hz, limit_n, processes or drawn, session_s)
-        return (
-            schedule
-            if is_calm or dice.random() >= PAGE_SHARE
-            else schedule._replace(
-                operator="page", events=tuple(sorted([*events, *_page(dice)], key=lambda one: one["at_s"]))
-            )
-        )
+        if is_calm or dice.random() >= PAGE_SHARE:
+            return schedule
+        events.extend(_page(dice))
+        return schedule._replace(operator="page", events=tuple(sorted(events, key=lambda one: one["at_s"])))
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> "Schedule":
@@ -248,13 +245,28 @@ def _restart(dice: random.Random, at_s: float) -> list[Event]:
 
 
 def _stopped_again(dice: random.Random, at_s: float) -> list[Event]:
-    """Draw a stop at the instrument, an arming of the withdrawn tip, and another stop while that is in transit."""
+    """Draw a stop at the instrument, an arming of the withdrawn tip, and, in half, a stop while that is in transit."""
     at_s = min(at_s, 2.5)
     arm_s = round(at_s + dice.choice([0.8, 1.6]), 3)
     press = {"kind": "press", "site": "slave", "target": "afm_node"}
     arm = {"at_s": arm_s, "kind": "arm", "target": dice.choice(["tip", "both"]), "place": False}
     later_s = round(arm_s + dice.choice([0.0005, 0.002, 0.005, 0.02, 0.05]), 4)
-    return [{"at_s": at_s, **press}, arm, {"at_s": later_s, **press}]
+    return [{"at_s": at_s, **press}, arm, *([{"at_s": later_s, **press}] if dice.random() < 0.5 else [])]
+
+
+def _ended_in_a_stop(dice: random.Random, at_s: float) -> list[Event]:
+    """Draw a stop of a device, and the end of its process, which a person has not armed meanwhile."""
+    node, site = dice.choice([(HAND, "master"), (TIP, "master"), (TIP, "slave")])
+    press = {"kind": "press", "site": site, "target": node.partition("@")[0]}
+    later_s = round(at_s + dice.choice([0.2, 0.5]), 3)
+    how = dice.choice(["killed", "ended", "failed", "replaced"])
+    end = {"at_s": later_s, "kind": "kill", "node": node, "after": 0, "torn": 0.0, "how": how}
+    return [{"at_s": at_s, **press}, end]
+
+
+def _unanswered(dice: random.Random, at_s: float) -> list[Event]:
+    """Draw a network that carries the hand's samples, and no answers for longer than a hand may do without them."""
+    return [{"at_s": at_s, "kind": "partition", "direction": "backward", "for_s": dice.choice([0.8, 1.5])}]
 
 
 def _stop_while_away(dice: random.Random, at_s: float) -> list[Event]:
@@ -345,6 +357,8 @@ _GROUPS: dict[str, tuple[float, Callable[[random.Random, float], list[Event]]]] 
     "restart": (0.4, _restart),
     "stopped again": (1.0, _stopped_again),
     "stop while away": (1.0, _stop_while_away),
+    "ended in a stop": (0.8, _ended_in_a_stop),
+    "unanswered": (0.8, _unanswered),
     "law while cut": (0.4, _law_while_cut),
     "answer lost": (0.4, _answer_lost),
     "half of another law": (0.8, _half_of_another_law),
