@@ -41,7 +41,10 @@ Patch = contextlib.AbstractContextManager[Any]
 
 
 class Fault(NamedTuple):
-    """A planted fault: its effect, the invariants that it breaks, its patches, and events and law that show it."""
+    """A planted fault: its effect, the invariants that it breaks, its patches, and a session that shows it.
+
+    needs: the kinds of events without which no schedule shows it, in words; a word may name several, parted by `|`.
+    """
 
     about: str
     breaks: frozenset[str]
@@ -49,6 +52,12 @@ class Fault(NamedTuple):
     events: tuple[Event, ...] = ()
     law: str = "wave"
     operator: str = "profile"
+    needs: str = ""
+
+    def may_show(self, schedule: Schedule) -> bool:
+        """Return whether a schedule has the events without which it does not show the fault."""
+        kinds = {event["kind"] for event in schedule.events}
+        return all(kinds & set(word.split("|")) for word in self.needs.split())
 
     def schedule(self, processes: str) -> Schedule:
         """Return a schedule that shows the fault with these processes, and breaks nothing without it."""
@@ -222,6 +231,7 @@ PLANTED: dict[str, Fault] = {
         "force_limited",
         _instead(tip_guard, "safety_step", _unlimited),
         events=[_at(2.0, "device", device="tip", fault="risen", for_s=0.7)],
+        needs="device",
     ),
     "a slow retraction": _fault(
         "the base of a tip that is withdrawn goes at a thousandth of its speed",
@@ -281,6 +291,7 @@ PLANTED: dict[str, Fault] = {
             _at(1.5, "press", site="master", target="haptic_node"),
             _at(2.0, "device", device="hand", fault="lost", for_s=0.2),
         ],
+        needs="press device",
     ),
     "a tip that jumps": _fault(
         "a tip that is withdrawn is at its place of safety in one step",
@@ -297,24 +308,28 @@ PLANTED: dict[str, Fault] = {
             _at(3.2, "arm", target="both", place=False),
             _at(3.205, "press", site="slave", target="afm_node"),
         ],
+        needs="press arm",
     ),
     "a stop that expires": _fault(
         "an emergency stop whose stamp is old, or of a clock that differs, is refused",
         "stop_kept goes_on stop_is_last",
         lambda: mock.patch.object(commands, "_OBEYED_AT_ANY_AGE", ("stop",)),
         events=[_at(0.0, "clock", ahead_s=-7.0, drift_ppm=0), _at(2.0, "press", site="master", target="*")],
+        needs="press",
     ),
     "the window of a late stop": _fault(
         "the link lets samples of the hand pass while the instrument has not obeyed a stop",
         "stop_is_last",
         _instead(far_stop.FarStop, "holds_back", lambda _: lambda self, message: False),
         events=[_at(2.0, "press", site="master", target="afm_node")],
+        needs="press",
     ),
     "a stale place": _fault(
         "an arming lets the base go to where the hand stands",
         "stop_is_last",
         _instead(tip_guard, "_begun", _going_on_its_own),
         events=[_at(2.0, "press", site="slave", target="afm_node"), _at(3.7, "arm", target="both", place=False)],
+        needs="arm",
     ),
     "an outage near the end of a hold": _fault(
         "a hold is praised whatever has interrupted it",
@@ -445,6 +460,7 @@ PLANTED: dict[str, Fault] = {
             _at(1.5, "press", site="master", target="*"),
             _at(7.0, "kill", node=LINK, after=0, torn=0.0),
         ],
+        needs="press",
     ),
     "a stop that ends with its process": _fault(
         "a device that is started again does not look for the stop that is kept for it",
@@ -454,6 +470,7 @@ PLANTED: dict[str, Fault] = {
             _at(1.5, "press", site="slave", target="afm_node"),
             _at(2.0, "kill", node=TIP, after=0, torn=0.0),
         ],
+        needs="press kill|site_restart",
     ),
     "a tip that follows again by itself": _fault(
         "a tip that was withdrawn follows as soon as fresh commands come",
@@ -469,6 +486,7 @@ PLANTED: dict[str, Fault] = {
             _at(1.6, "law", law="virtual_impedance"),
             _at(2.5, "kill", node="controller@slave", after=0, torn=0.0),
         ],
+        needs="law kill|site_restart",
     ),
     "a node that stays away": _fault(
         "a node whose process has ended is not started again",

@@ -143,6 +143,7 @@ def test_a_planted_fault_breaks_what_it_is_said_to_break_and_nothing_else(name: 
 def check_found(name: str, processes: str) -> None:
     fault = PLANTED[name]
     schedule = fault.schedule(processes)
+    assert fault.may_show(schedule)
     assert unexpected(tried(schedule)) == []
     with fault.planted():
         broken = {found.invariant for found in tried(schedule).breaks}
