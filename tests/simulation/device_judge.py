@@ -166,7 +166,8 @@ def _judge_shares(session: Session) -> Iterator[Break]:
         if hold["verdict"] != "stable" or hold["hold_ratio"] is None or hold["judged_to_s"] is None:
             continue
         from_s, to_s = (zero_s + 0.3 * hold["judged_from_s"] + 0.7 * hold["judged_to_s"], zero_s + hold["judged_to_s"])
-        forces_n = [FORCE_SCALE * one.force_n for one in session.tip_steps if from_s <= one.at_s <= to_s]
+        # The state that ends a contact is no part of it, and its step is just before.
+        forces_n = [FORCE_SCALE * one.force_n for one in session.tip_steps if from_s <= one.at_s < to_s - TURN_S]
         if len(forces_n) < 5:
             continue
         share = sum(forces_n) / len(forces_n) / hold["hand_force_n"]

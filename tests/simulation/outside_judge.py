@@ -21,6 +21,8 @@ from session_files import HAND, LATE_S, LINK, TIP, Break, Fields, Newest, Sessio
 
 # Validity of a command; hold of a tip without one, before it is withdrawn [s].
 DEADLINE_S, HOLD_S = 0.05, 0.2
+# Time after the newest message of a page in which the hand that it pushes is let go [s].
+PUSHED_S = 0.1
 # Time, in addition to the round trip, within which a tip stops following after the hand last felt an answer [s].
 UNFELT_S = 0.5
 # Time for which a person waits who presses a stop [s].
@@ -67,7 +69,12 @@ def judge_tip(session: Session) -> Iterator[Break]:
 
 
 def judge_hand(session: Session) -> Iterator[Break]:
-    """Check: the hand is released when its newest command, or the sample that it answers, is too old."""
+    """Check: the hand is released when its newest command, the answered sample, or the push of a page is too old."""
+    pushes_s = [at_s for at_s, _, _ in session.sent["view@master", "operator/force"]]
+    for one in session.direct[HAND, "haptic/state"] if session.schedule.get("operator") == "page" else ():
+        pushed_s = one.sent_s - ([-1e9, *pushes_s])[bisect_right(pushes_s, one.sent_s)]
+        if one.fields["operator_force_n"][2] and pushed_s > PUSHED_S + session.grain_s:
+            yield Break("safe_in_time", one.sent_s, f"a page pushes the hand {pushed_s:.2f} s after its last message")
     commands = Newest(session.direct["controller@master", "haptic/command"])
     lost = session.missing("controller@master", "haptic/command")
     for one in session.direct[HAND, "haptic/state"]:
@@ -89,8 +96,12 @@ def judge_stops(session: Session) -> Iterator[Break]:
     for device, topic in ((HAND, "haptic/state"), (TIP, "afm/state")):
         line = [*session.direct[device, topic], *session.direct[device, "session/event"]]
         pressed_s, suspect, withdrawn, since_s, lost = None, None, False, 0.0, session.missing(device, "session/event")
+        started_s = [act["at_s"] for act in session.acts if act["what"] == "started" and act["node"] == device]
         for one in sorted(line, key=lambda one: one.sent_s):
             said = one.fields
+            while started_s and started_s[0] < one.sent_s:
+                # A new process is armed by nobody.
+                withdrawn, since_s = True, started_s.pop(0)
             if suspect is not None and one.sent_s > suspect.at_s + 0.005:
                 # The answer to an arming comes after the state that it has changed, or is missing in the files.
                 yield from [suspect] if _is_known(lost, 0.0, one.sent_s) else []
