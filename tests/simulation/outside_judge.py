@@ -92,20 +92,21 @@ def judge_stops(session: Session) -> Iterator[Break]:
     """Check: after a stop nothing arms without a person; arming moves nothing; a stop is answered or kept."""
     given = {act["sender"]: (act["at_s"], act["name"]) for act in session.acts if act["what"] == "command"}
     presses = {act["id"]: act for act in session.acts if act["what"] == "press"}
-    acks, arms = set[tuple[str, str]](), list[tuple[float, str]]()
+    acks, arms, asked = set[tuple[str, str]](), list[tuple[float, str]](), _asked(session)
     for device, topic in ((HAND, "haptic/state"), (TIP, "afm/state")):
         line = [*session.direct[device, topic], *session.direct[device, "session/event"]]
         pressed_s, suspect, withdrawn, since_s, lost = None, None, False, 0.0, session.missing(device, "session/event")
         started_s = [act["at_s"] for act in session.acts if act["what"] == "started" and act["node"] == device]
         for one in sorted(line, key=lambda one: one.sent_s):
             said = one.fields
+            if suspect is not None and one.sent_s > suspect.at_s + 0.005:
+                # The answer to an arming comes after the state that it has changed. It may be missing in the files.
+                is_asked = any(given_s <= suspect.at_s and until_s >= since_s for given_s, until_s in asked)
+                yield from [] if is_asked and not _is_known(lost, since_s, one.sent_s) else [suspect]
+                suspect, pressed_s, withdrawn = None, None, False
             while started_s and started_s[0] < one.sent_s:
                 # A new process is armed by nobody.
                 withdrawn, since_s = True, started_s.pop(0)
-            if suspect is not None and one.sent_s > suspect.at_s + 0.005:
-                # The answer to an arming comes after the state that it has changed, or is missing in the files.
-                yield from [suspect] if _is_known(lost, 0.0, one.sent_s) else []
-                suspect, pressed_s, withdrawn = None, None, False
             if one.topic == topic:
                 moves = said["mode"] in ("follow", "hold") or said.get("armed") is True
                 left = said["mode"] != "estop" if device == TIP else not said["estop"]
@@ -132,6 +133,14 @@ def judge_stops(session: Session) -> Iterator[Break]:
             answered = (act["id"], device) in acks or device not in ended.get(act["id"], (device,))
             if not answered and not {device, LINK if device == TIP else device} & set(session.history["kept"]):
                 yield Break("stop_kept", act["at_s"], f"the stop for {device} was neither answered nor kept")
+
+
+def _asked(session: Session) -> list[tuple[float, float]]:
+    """Return the times from each command that may arm, by a person or the launcher, to its answer [s]."""
+    answered = {act["sender"]: act["at_s"] for act in session.acts if act["what"] == "answered"}
+    given = [act for act in session.acts if act["what"] == "command" and act["name"] in ("arm", "recover")]
+    asked = [(act["at_s"], answered.get(act["sender"], session.end_s)) for act in given]
+    return asked + [(at_s, at_s + UNFELT_S) for at_s, _, _ in session.sent["launcher@master", "session/control"]]
 
 
 def _judge_window(session: Session) -> Iterator[Break]:
