@@ -3,10 +3,13 @@ import contextlib
 import importlib.util
 import os
 import re
+import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -345,3 +348,21 @@ def test_a_process_takes_the_place_of_this_one_with_a_safe_path() -> None:
         "1",
         "True",
     ]
+
+
+def test_a_signal_that_another_thread_has_received_ends_the_wait_for_futures() -> None:
+    waits, stop = threading.Event(), threading.Event()
+
+    def work() -> bool:
+        waits.wait(60.0)
+        signal.pthread_kill(threading.get_ident(), signal.SIGINT)
+        return stop.wait(60.0)
+
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    with ThreadPoolExecutor(1) as pool:
+        future = pool.submit(work)
+        with pytest.raises(KeyboardInterrupt):
+            waits.set()
+            list(children.as_ended([future]))
+        stop.set()
+    assert future.result(), "the wait ended before the work did"

@@ -120,13 +120,14 @@ class Journal:
 
 @dataclass
 class Sweep:
-    """Runs cells and keeps their results. `workers`: processes on this machine; `scheduler`: a Dask cluster instead.
+    """Runs cells and keeps their results.
 
+    `workers`: processes on this machine, None for one a processor; `scheduler`: a Dask cluster instead.
     `warn` receives a sentence, once, for each sample that is too stiff for its law.
     """
 
     journal: Journal
-    workers: int
+    workers: int | None
     scheduler: str | None = None
     progress: Progress = silent
     warn: Callable[[str], None] = unheard
