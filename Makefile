@@ -7,11 +7,8 @@ PYTHON ?= $(or $(firstword $(foreach python,/usr/bin/python3 python3,\
 VENV := .venv
 BIN := $(VENV)/bin
 OUT ?= out/fig12
-# the images of deploy/: the extras of pyproject.toml that each one has, and its PACKAGES in compose.yaml
-# Each image with its locks, and the packages of the project that go in as well.
-IMAGES := haptic_node:node:telenano-devices controller:node:telenano-laws,telenano-wide-area delay_node:node:telenano-wide-area \
-  afm_node:node:telenano-devices recorder:node session:rig,node:telenano-devices,telenano-laws,telenano-wide-area viz_node:rig \
-  study:study:telenano-laws,telenano-devices,telenano-lab
+# Each image of deploy/ with its locks, and the packages of the project that go in as well.
+IMAGES := rig:rig,node:telenano-devices,telenano-laws,telenano-wide-area study:study:telenano-laws,telenano-devices,telenano-lab
 # The extras of a lock: of the images of nodes, of a rig with its page, and of studies.
 NODE := haptic afm
 RIG := launcher view haptic afm

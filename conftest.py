@@ -12,10 +12,11 @@ from pathlib import Path
 
 import pytest
 from changed_files import touches
+from ended_workers import pytest_testnodedown
 from hypothesis import HealthCheck, settings
 from restored_process import process_restored, process_restored_after_a_file
 
-__all__ = ["process_restored", "process_restored_after_a_file"]
+__all__ = ["process_restored", "process_restored_after_a_file", "pytest_testnodedown"]
 
 ROOT = Path(__file__).parent
 # When a test of `make endurance` is ended that names no time of its own [s]; `make test` and `make check` have the

@@ -42,6 +42,7 @@ from telenano.recording.multi_file import RecordingSource, open_recordings
 from telenano.recording.quantities import quantity
 from telenano.recording.site_clock import Timeline
 from telenano.recording.tables import TypedColumn, flat, row
+from telenano.signals import in_processes
 from telenano.wire.errors import ConfigError, NoRecordingError, RecordingError, TelenanoError, known_names
 from telenano.wire.messages import Message
 
@@ -358,7 +359,10 @@ def _recording_at(path: Path) -> Path:
 
 
 def open_all(
-    recordings: str | os.PathLike[str] | Iterable[str | os.PathLike[str]], *, progress: bool = True
+    recordings: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
+    *,
+    jobs: int | None = None,
+    progress: bool = True,
 ) -> "pandas.DataFrame":
     """Return a table of many recordings with one row for each hold: conditions, verdict of the session, and the hold.
 
@@ -369,6 +373,7 @@ def open_all(
     Args:
         recordings: A pattern of paths, such as `out/**/session.mcap`, in which a folder stands for the only recording
             in it; or paths of files and folders.
+        jobs: The number of recordings that are judged at a time; None for the number of processors.
         progress: Whether to show a progress bar on a terminal or in a notebook.
 
     Raises:
@@ -382,10 +387,11 @@ def open_all(
         if (rows := _rows(path, kept_only=True)) is not None:
             rows_of[path] = rows
     new = [path for path in paths if path not in rows_of]
-    for number, path in enumerate(new):
-        show_progress("recordings judged", number, len(new), progress)
-        rows_of[path] = _rows(path) or []
-    show_progress("recordings judged", len(new), len(new), progress)
+    show_progress("recordings judged", 0, len(new), progress)
+    with closing(in_processes(jobs, _rows, new)) as judged:
+        for number, (place, rows) in enumerate(judged, start=1):
+            rows_of[new[place]] = rows or []
+            show_progress("recordings judged", number, len(new), progress)
     return frame_of([row for path in paths for row in rows_of[path]])
 
 

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from telenano.analysis.felt_stiffness import Felt, FeltSession
 from telenano.analysis.fig12 import SessionSeries
+from telenano.analysis.findings import Kind
 from telenano.analysis.holds import (
     ANSWERS,
     TIP,
@@ -74,9 +75,9 @@ def summary_of(session: Session, recording: RecordingSource, missing: Sequence[s
         **session.conditions,
         "duration_s": round(session.duration_s, 3),
         **judged,
-        "felt_stiffness": _felt(session.felt(recording)),
-        "contact_x_cm": _mean(samples["contact_x_cm"]),
-        "release_force_nn": _rounded(_mean(samples["release_force_nn"])),
+        "felt_stiffness": felt_figures(session.felt(recording)),
+        "contact_x_cm": mean_of(samples["contact_x_cm"]),
+        "release_force_nn": rounded_nn(mean_of(samples["release_force_nn"])),
         **tip_figures(session.tip),
         "tip_holds": sum(one.kind == "tip_held" for one in interruptions),
         "hand_let_go": sum(one.kind == "hand_let_go" for one in interruptions),
@@ -96,7 +97,7 @@ def summary_of(session: Session, recording: RecordingSource, missing: Sequence[s
         ),
         "seq_gaps": _gaps(info),
         "contact_known": session.knows_contact,
-        "holds": [{**hold._asdict(), "facts": [fact._asdict() for fact in hold.facts]} for hold in holds],
+        "holds": hold_figures(holds),
         "clocks": _clocks(session),
         "recording": recording_facts(info, session.start_ns, missing, unread.beyond_range()),
     }
@@ -120,10 +121,18 @@ def _judged(session: Session) -> tuple[SessionSeries, list[Hold], dict[str, Any]
     guard = guard_of(series.tip_time_s, tip, session.context)
     greatest_n = float(np.abs(series.hand_force_n).max(initial=0.0))
     verdict, reason = verdict_of(holds, guard, greatest_n, in_words(session.context.interruptions))
-    # An undecided session is not called unstable.
+    return series, holds, {**verdict_figures(verdict, reason), "hold_ratio": mean_of(_hold_ratios(session, holds))}
+
+
+def verdict_figures(verdict: Kind, reason: str) -> dict[str, Any]:
+    """Return the keys of a summary with a verdict on a session; an undecided one is not called unstable."""
     stable = None if verdict in ("cannot_say", "no_data") else verdict == "stable"
-    judged = {"stable": stable, "verdict": verdict, "reason": reason, "hold_ratio": _mean(_hold_ratios(session, holds))}
-    return series, holds, judged
+    return {"stable": stable, "verdict": verdict, "reason": reason}
+
+
+def hold_figures(holds: Sequence[Hold]) -> list[dict[str, Any]]:
+    """Return the key `holds` of a summary."""
+    return [{**hold._asdict(), "facts": [fact._asdict() for fact in hold.facts]} for hold in holds]
 
 
 def _lacking(session: Session, series: SessionSeries, holds: Sequence[Hold], info: RecordingInfo) -> list[str]:
@@ -148,7 +157,7 @@ def _lacking(session: Session, series: SessionSeries, holds: Sequence[Hold], inf
     return list(dict.fromkeys(sentences))
 
 
-def _felt(found: FeltSession) -> dict[str, Any]:
+def felt_figures(found: FeltSession) -> dict[str, Any]:
     """Return the key `felt_stiffness` of a summary: felt and true stiffness, and spans in which they differed much."""
     felt, names = found.felt, ("ratio", "low", "high", "felt_n_per_m", "there_n_per_m")
     outside = [
@@ -282,11 +291,12 @@ def _gaps(info: RecordingInfo) -> dict[str, int]:
     return dict(sorted(gaps.items()))
 
 
-def _mean(values: Series) -> float | None:
+def mean_of(values: Series) -> float | None:
+    """Return the mean of an array of shape (n,); None without a value."""
     return float(values.mean()) if values.size else None
 
 
-def _rounded(force_nn: float | None) -> float | None:
+def rounded_nn(force_nn: float | None) -> float | None:
     """Return a force rounded to 1e-6 nN, the tolerance of the equilibrium of the simulated cantilever."""
     # Adding 0.0 turns -0.0 into 0.0.
     return None if force_nn is None else round(force_nn, 6) + 0.0

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from telenano.cli.options import EndOption as EndOption
     from telenano.cli.options import ExcludeOption as ExcludeOption
     from telenano.cli.options import FormatOption as FormatOption
+    from telenano.cli.options import JobsOption as JobsOption
     from telenano.cli.options import JsonOption as JsonOption
     from telenano.cli.options import RigFileOption as RigFileOption
     from telenano.cli.options import SameSessionOption as SameSessionOption

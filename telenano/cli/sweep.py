@@ -7,7 +7,7 @@ import json
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -21,7 +21,7 @@ from telenano.cli.output import say
 from telenano.cli.progress_bar import progress
 from telenano.launcher.plan import Plan
 from telenano.settings.scenario import SEEDS
-from telenano.signals import interrupts
+from telenano.signals import children, interrupts
 from telenano.wire.errors import ConfigError, RigError, probably_meant
 
 R = TypeVar("R", bound=BaseModel)
@@ -273,9 +273,10 @@ def run_children(
         progress(f"{what}s", len(commands), shown=not quiet, counted=True) as show,
         ThreadPoolExecutor(max(1, min(jobs, len(commands)))) as pool,
     ):
-        futures = [pool.submit(run, name) for name in commands]
+        futures: list[Future[None]] = []
         try:
-            for future in as_completed(futures):
+            futures.extend(pool.submit(run, name) for name in commands)
+            for future in children.as_ended(futures):
                 future.result()
                 show(len(done))
         except BaseException:

@@ -31,11 +31,6 @@ def shared_folder() -> Path:
     return _SHARED if os.access(_SHARED, os.W_OK) else Path(tempfile.gettempdir())
 
 
-def permitted() -> set[int]:
-    """Return the processors that this process may use."""
-    return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
-
-
 def claim(count: int, usable: Collection[int], folder: Path) -> dict[int, int]:
     """Lock `count` of the usable processors, highest numbers first, or none if fewer are free.
 

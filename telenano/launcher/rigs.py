@@ -32,6 +32,7 @@ from telenano.runtime.bus.pin import Pin
 from telenano.runtime.loop.realtime import NO_PROCESSORS, PROCESSORS_VARIABLE, may_use_fifo
 from telenano.runtime.security.private_files import check_runtime_directory
 from telenano.settings.scenario import RealtimeConfig
+from telenano.signals.children import permitted
 from telenano.wire.errors import ConfigError, EndpointError, RigError
 from telenano.wire.nodes import site_of
 
@@ -225,21 +226,21 @@ def _claim(plan: "Plan", show: Callable[[str], Any], folder: Path) -> tuple[dict
     """
     os.environ.pop(PROCESSORS_VARIABLE, None)
     config = plan.scenario.realtime_in_force()
-    permitted = processors.permitted()
+    usable = permitted()
     if isinstance(config.cpus, dict):
         claimed = processors.claim_these(config.cpus.values(), folder)
         if others := sorted(set(config.cpus.values()) - set(claimed)):
             show(f"warning: realtime.cpus: other rigs use processors {_list(others)} too, and both will be late there")
         return claimed, False
-    if config.cpus == "free" or len(permitted) < processors.FOR_A_RIG or not _wants_fifo(config):
+    if config.cpus == "free" or len(usable) < processors.FOR_A_RIG or not _wants_fifo(config):
         return {}, False
     needed = _NEEDED.get(plan.site or "", processors.FOR_A_RIG)
-    claimed = processors.claim(needed, permitted, folder)
+    claimed = processors.claim(needed, usable, folder)
     if claimed:
         os.environ[PROCESSORS_VARIABLE] = ",".join(map(str, sorted(claimed)))
         return claimed, False
-    taken = _list(processors.held(permitted, folder))
-    text = f"warning: this rig needs {needed} free processors: other rigs use processors {taken} of {len(permitted)}"
+    taken = _list(processors.held(usable, folder))
+    text = f"warning: this rig needs {needed} free processors: other rigs use processors {taken} of {len(usable)}"
     if plan.site is not None:
         show(f"{text}; it shares theirs, and all of them may be late")
         return {}, False

@@ -29,7 +29,9 @@ from telenano.analysis.holds import (
 from telenano.analysis.interruptions import in_words
 from telenano.analysis.session import COLUMNS, Conditions, Session, hand_in_words, sample_in_words
 from telenano.analysis.stated_noise import stated_noise
+from telenano.analysis.summary import tip_figures
 from telenano.extend.instruments import SafetyParams
+from telenano.files.strict_json import finite
 from telenano.lockstep import across
 from telenano.lockstep.link import Schedule
 from telenano.lockstep.lockstep import Rig
@@ -296,6 +298,38 @@ class SimulatedSession(Session):
         coupled = course.in_contact & course.follows & course.hand_following
         span, facts = self._felt_by
         return felt_in(Course(hand, tip, coupled), [span], facts)
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """The figures of `summary.json` that a lockstep has, without those of messages, processes and recording."""
+        # Imported here, because only the judge of recordings needs what it imports.
+        from telenano.analysis import session_judge as judge
+
+        conditions, time_s, tip_n = self.conditions, self["time_s"], self["tip_force_n"]
+        last = time_s >= time_s[-1] - judge.RELEASE_WINDOW_S
+        found: dict[str, Any] = finite(
+            {
+                "scenario": conditions.scenario,
+                "law": [conditions.law],
+                "parameters": conditions.parameters,
+                "changed": list(conditions.changed),
+                "link_round_trip_ms": self.measured_round_trip_ms,
+                "link_profile": conditions.link_profile,
+                "link_seed": conditions.link_seed,
+                "instrument": conditions.instrument,
+                **judge.verdict_figures(self.verdict, self.reason),
+                "hold_ratio": next(
+                    (each.hold_ratio for each in reversed(self.holds) if each.hold_ratio is not None), None
+                ),
+                "felt_stiffness": judge.felt_figures(self.felt_stiffness),
+                "contact_x_cm": judge.mean_of(100.0 * self["reference_m"][last]),
+                "release_force_nn": judge.rounded_nn(judge.mean_of(1e9 * tip_n[last])),
+                **tip_figures({"tip_force_n.2": tip_n}),
+                "hand_cycles": judge.cycles_of(self["operator_force_n"]),
+                "holds": judge.hold_figures(self.holds),
+            }
+        )
+        return found
 
     def _drawn(self) -> tuple[SessionSeries, str]:
         course, time_s = self._trajectory, self["time_s"]

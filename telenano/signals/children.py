@@ -11,17 +11,22 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from functools import partial
-from typing import Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 from telenano.signals.interrupts import kept_from_children
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
 
 Task = TypeVar("Task")
 Made = TypeVar("Made")
 
 _SAFE_PATH = "PYTHONSAFEPATH"
 _PR_SET_PDEATHSIG = 1
+# The longest time after which a signal is handled that another thread has received [s].
+_AWAKE_S = 0.1
 
 
 def start(
@@ -75,25 +80,30 @@ def spawning_workers() -> Iterator[None]:
 
 
 def in_processes(
-    jobs: int, function: Callable[[Task], Made], tasks: Sequence[Task]
+    jobs: int | None, function: Callable[[Task], Made], tasks: Sequence[Task]
 ) -> Generator[tuple[int, Made], None, None]:
     """Call a function of the library with each task in processes of this machine; yield place and result as they come.
 
-    The processes end when the reader of their results ends, at once if that is by an exception.
+    `jobs` is the number of processes, None for one a processor; a single one is this process itself. The others end
+    when the reader of their results ends, at once if that is by an exception.
     """
+    jobs = min(jobs or len(permitted()), len(tasks))
+    if jobs < 2:
+        yield from ((place, function(task)) for place, task in enumerate(tasks))
+        return
     # Imported here, because they take a tenth of the start of a process, and few have workers.
-    from concurrent.futures import ProcessPoolExecutor, as_completed
+    from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import active_children, get_context
 
     # The workers are spawned, not forked, because the parent has threads of its own by now. The pool starts a further
     # process itself, which tracks its semaphores.
     others = set(active_children())
     with spawning_workers():
-        pool = ProcessPoolExecutor(min(jobs, len(tasks)), get_context("spawn"))
+        pool = ProcessPoolExecutor(jobs, get_context("spawn"))
     try:
         with spawning_workers():
             places = {pool.submit(function, task): place for place, task in enumerate(tasks)}
-        for future in as_completed(places):
+        for future in as_ended(places):
             yield places[future], future.result()
     except BaseException:
         # The work in progress is useless now, and may take seconds.
@@ -105,9 +115,22 @@ def in_processes(
         pool.shutdown()
 
 
-def processors() -> int:
-    """Return how many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def as_ended(futures: "Iterable[Future[Made]]") -> "Iterator[Future[Made]]":
+    """Yield futures as they end, and let the main thread run ten times a second until then.
+
+    The kernel may give a signal to another thread, and Python handles it when the main thread runs next.
+    """
+    from concurrent.futures import FIRST_COMPLETED, wait
+
+    waiting = set(futures)
+    while waiting:
+        ended, waiting = wait(waiting, _AWAKE_S, FIRST_COMPLETED)
+        yield from ended
+
+
+def permitted() -> set[int]:
+    """Return the numbers of the processors that this process may use."""
+    return os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else set(range(os.cpu_count() or 1))
 
 
 def die_with_parent(signal_number: int) -> None:

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from telenano.api import frame_of, rows_of_session, show_progress
 from telenano.signals import in_processes
-from telenano.signals.children import processors
 from telenano.virtual.simulate import check_arguments, simulate
 from telenano.wire.errors import ConfigError, TelenanoError
 
@@ -64,7 +63,7 @@ def simulate_all(
     points = [dict(zip(axes, chosen, strict=True)) for chosen in itertools.product(*axes.values())]
     found: dict[int, _Rows] = {}
     show_progress("sessions simulated", 0, len(points), progress)
-    with closing(in_processes(jobs or processors(), _run, points)) as done:
+    with closing(in_processes(jobs, _run, points)) as done:
         for place, rows in done:
             found[place] = rows
             show_progress("sessions simulated", len(found), len(points), progress)

@@ -148,11 +148,17 @@ def _plant(seed: int, names: list[str], most: int, rounds: int, processes: str |
 def found_by(
     fault: Fault, first_seed: int, most: int, processes: str | None = None
 ) -> tuple[int, float, set[str]] | None:
-    """Return the schedules and simulated hours that found a planted fault, and the broken invariants; None if not."""
+    """Return the schedules and simulated hours that found a planted fault, and the broken invariants; None if not.
+
+    Schedules that cannot show the fault are counted, and not run.
+    """
     passed_s = 0.0
     with fault.planted():
         for number in range(most):
-            one = campaign.tried(Schedule.drawn(first_seed + number, processes), reports=fault.is_of_report)
+            schedule = Schedule.drawn(first_seed + number, processes)
+            if not fault.may_show(schedule):
+                continue
+            one = campaign.tried(schedule, reports=fault.is_of_report)
             passed_s += one.simulated_s
             broken = {found.invariant for found in one.breaks}
             if broken & fault.breaks:

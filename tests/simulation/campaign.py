@@ -65,23 +65,23 @@ def session_folder() -> Iterator[Path]:
 
 def tried(schedule: Schedule, *, reports: bool = True) -> Tried:
     """Run a schedule and judge its files; with `reports`, also the report on it."""
-    begun_s = time.process_time()
+    begun_s, failing = time.process_time(), ("goes_on", "the launcher")
     with session_folder() as folder:
         try:
             run(schedule, folder)
+            failing = "judged", "the report or the judge"
+            report(folder, is_made=reports)
+            # Tens of thousands of records are made here that are kept, so a collection finds nothing.
+            with without_collector():
+                session = outside_judge.Session(folder)
+                breaks = outside_judge.judged(session)
+                # For half of the schedules as well, because it takes as long as reading the files once more.
+                breaks += [Break("recorded_as_sent", 0.0, text) for text in untold(folder)] if reports else []
+                situations = reached.situations(session)
         except Exception as error:  # noqa: BLE001
-            # A failed launcher means that the rig does not go on, whatever the error.
-            text = f"the launcher has failed: {type(error).__name__}: {error}"
-            found = (Break("goes_on", 0.0, text),)
+            # A failed launcher means that the rig does not go on, whatever the error. A failed judge finds no fault.
+            found = (Break(failing[0], 0.0, f"{failing[1]} has failed: {type(error).__name__}: {error}"),)
             return Tried(schedule, found, frozenset(), 0.0, time.process_time() - begun_s, reported=False)
-        report(folder, is_made=reports)
-        # Tens of thousands of records are made here that are kept, so a collection finds nothing.
-        with without_collector():
-            session = outside_judge.Session(folder)
-            breaks = outside_judge.judged(session)
-            # For half of the schedules as well, because it takes as long as reading the files once more.
-            breaks += [Break("recorded_as_sent", 0.0, text) for text in untold(folder)] if reports else []
-            situations = reached.situations(session)
     return Tried(schedule, tuple(breaks), situations, session.end_s, time.process_time() - begun_s, reports)
 
 

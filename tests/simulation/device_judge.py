@@ -166,10 +166,12 @@ def _judge_shares(session: Session) -> Iterator[Break]:
         if hold["verdict"] != "stable" or hold["hold_ratio"] is None or hold["judged_to_s"] is None:
             continue
         from_s, to_s = (zero_s + 0.3 * hold["judged_from_s"] + 0.7 * hold["judged_to_s"], zero_s + hold["judged_to_s"])
-        forces_n = [FORCE_SCALE * one.force_n for one in session.tip_steps if from_s <= one.at_s <= to_s]
+        # The state that ends a contact is no part of it, and its step is just before.
+        forces_n = [FORCE_SCALE * one.force_n for one in session.tip_steps if from_s <= one.at_s < to_s - TURN_S]
         if len(forces_n) < 5:
             continue
-        share = sum(forces_n) / len(forces_n) / hold["hand_force_n"]
-        if abs(share * hold["hold_ratio"] - 1.0) > SAME_SHARE:
-            text = f"the hold from {hold['start_s']:.2f} s has the ratio {hold['hold_ratio']:.3f}, the tip {share:.3f}"
+        tip_n, hand_n = sum(forces_n) / len(forces_n), hold["hand_force_n"]
+        if abs(tip_n * hold["hold_ratio"] - hand_n) > SAME_SHARE * max(tip_n, hand_n):
+            words = f"the ratio {hold['hold_ratio']:.3f}, the tip {tip_n:.3f} N, and the hand {hand_n:.3f} N"
+            text = f"the hold from {hold['start_s']:.2f} s has {words}"
             yield Break("praised_was_held", from_s, text)

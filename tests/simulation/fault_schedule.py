@@ -37,6 +37,7 @@ from typing import Any, NamedTuple
 Event = dict[str, Any]
 HAND, TIP, LINK = "haptic_node@master", "afm_node@slave", "delay_node@master"
 HALVES = ("controller@master", "controller@slave")
+PAGE = "view@master"
 RECORDERS = ("recorder@master", "recorder@slave")
 NODES = (HAND, TIP, LINK, *HALVES, *RECORDERS)
 # Half of the draws take one of the first two laws.
@@ -63,6 +64,9 @@ CALM_SHARE = 0.1
 CALM_S = 0.7
 RECOVERY_S = 2.0
 SESSION_S = 8.5
+# Who pushes the hand: a profile of force, or a person at the page; an eighth of the sessions have that one.
+OPERATORS = ("profile", "page")
+PAGE_SHARE = 0.125
 # Share of the sessions that end in order among the faults, so that what is away or late then is accounted for as well.
 ABRUPT_SHARE = 0.125
 
@@ -73,7 +77,8 @@ class Schedule(NamedTuple):
     seed: seed of all delays on the sites; law: the law at the start; delay_s: delay of the network in each direction
     [s]; link_s: delay that the link adds in each direction [s]; events: the events in the order of time; rate_hz: the
     rate of the loops [Hz]; force_limit_n: force on the tip above which its guard withdraws it [N]; processes: those of
-    the loop, one of `PROCESSES`; session_s: time from the start of the force profile to the end of the session [s].
+    the loop, one of `PROCESSES`; session_s: time from the start of the force profile to the end of the session [s];
+    operator: who pushes the hand, one of `OPERATORS`.
     """
 
     seed: int
@@ -85,6 +90,7 @@ class Schedule(NamedTuple):
     force_limit_n: float = 200e-9
     processes: str = "node"
     session_s: float = SESSION_S
+    operator: str = "profile"
 
     @classmethod
     def drawn(cls, seed: int, processes: str | None = None) -> "Schedule":
@@ -111,7 +117,11 @@ class Schedule(NamedTuple):
             ends_s = round(max(one["at_s"] + one.get("for_s", 0.0) for one in events), 4)
             events.append({"at_s": ends_s, "kind": "delay", "forward_s": 0.01, "backward_s": 0.01})
         limit_n, drawn, session_s = dice.choice(FORCE_LIMITS_N), dice.choice(PROCESSES), _session_s(dice)
-        return cls(seed, law, delay_s, link_s, tuple(events), rate_hz, limit_n, processes or drawn, session_s)
+        schedule = cls(seed, law, delay_s, link_s, tuple(events), rate_hz, limit_n, processes or drawn, session_s)
+        if is_calm or dice.random() >= PAGE_SHARE:
+            return schedule
+        events.extend(_page(dice))
+        return schedule._replace(operator="page", events=tuple(sorted(events, key=lambda one: one["at_s"])))
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> "Schedule":
@@ -216,6 +226,14 @@ def _people(dice: random.Random, at_s: float) -> list[Event]:
     return [{"at_s": at_s, "kind": kind}]
 
 
+def _page(dice: random.Random) -> list[Event]:
+    """Draw moments in which a page sends nothing while its person pushes: it hangs, or its connection is lost."""
+    return [
+        {"at_s": round(dice.uniform(1.0, FAULTS_S), 3), "kind": "stall", "node": PAGE, "for_s": for_s}
+        for for_s in dice.sample([0.08, 0.2, 0.6, 1.5], dice.choice([1, 2]))
+    ]
+
+
 def _meeting(dice: random.Random, at_s: float) -> list[Event]:
     """Draw two faults of different groups that begin within 0.1 s, which is rare in single draws."""
     draws = [_network, _process, _people, _disk, _device]
@@ -227,13 +245,28 @@ def _restart(dice: random.Random, at_s: float) -> list[Event]:
 
 
 def _stopped_again(dice: random.Random, at_s: float) -> list[Event]:
-    """Draw a stop at the instrument, an arming of the withdrawn tip, and another stop while that is in transit."""
+    """Draw a stop at the instrument, an arming of the withdrawn tip, and, in half, a stop while that is in transit."""
     at_s = min(at_s, 2.5)
     arm_s = round(at_s + dice.choice([0.8, 1.6]), 3)
     press = {"kind": "press", "site": "slave", "target": "afm_node"}
     arm = {"at_s": arm_s, "kind": "arm", "target": dice.choice(["tip", "both"]), "place": False}
     later_s = round(arm_s + dice.choice([0.0005, 0.002, 0.005, 0.02, 0.05]), 4)
-    return [{"at_s": at_s, **press}, arm, {"at_s": later_s, **press}]
+    return [{"at_s": at_s, **press}, arm, *([{"at_s": later_s, **press}] if dice.random() < 0.5 else [])]
+
+
+def _ended_in_a_stop(dice: random.Random, at_s: float) -> list[Event]:
+    """Draw a stop of a device, and the end of its process, which a person has not armed meanwhile."""
+    node, site = dice.choice([(HAND, "master"), (TIP, "master"), (TIP, "slave")])
+    press = {"kind": "press", "site": site, "target": node.partition("@")[0]}
+    later_s = round(at_s + dice.choice([0.2, 0.5]), 3)
+    how = dice.choice(["killed", "ended", "failed", "replaced"])
+    end = {"at_s": later_s, "kind": "kill", "node": node, "after": 0, "torn": 0.0, "how": how}
+    return [{"at_s": at_s, **press}, end]
+
+
+def _unanswered(dice: random.Random, at_s: float) -> list[Event]:
+    """Draw a network that carries the hand's samples, and no answers for longer than a hand may do without them."""
+    return [{"at_s": at_s, "kind": "partition", "direction": "backward", "for_s": dice.choice([0.8, 1.5])}]
 
 
 def _stop_while_away(dice: random.Random, at_s: float) -> list[Event]:
@@ -293,6 +326,12 @@ def _half_of_another_law(dice: random.Random, at_s: float) -> list[Event]:
     return [*short, {"at_s": at_s, "kind": "law", "law": dice.choice(LAWS)}, {"at_s": later_s, **kill}]
 
 
+def _longer_way(dice: random.Random, _: float) -> list[Event]:
+    """Draw a longer way while the hand goes to the sample: what comes is too old, and would lead a held base on."""
+    there = {"forward_s": dice.choice([0.1, 0.12]), "backward_s": 0.01}
+    return [{"at_s": round(dice.uniform(0.9, 1.25), 3), "kind": "delay", **there}]
+
+
 def _press(dice: random.Random, at_s: float) -> Event:
     site = dice.choice(["master", "master", "slave"])
     target = "afm_node" if site == "slave" else dice.choice(["*", "*", "haptic_node", "afm_node"])
@@ -324,6 +363,9 @@ _GROUPS: dict[str, tuple[float, Callable[[random.Random, float], list[Event]]]] 
     "restart": (0.4, _restart),
     "stopped again": (1.0, _stopped_again),
     "stop while away": (1.0, _stop_while_away),
+    "ended in a stop": (0.8, _ended_in_a_stop),
+    "unanswered": (0.8, _unanswered),
+    "longer way": (1.0, _longer_way),
     "law while cut": (0.4, _law_while_cut),
     "answer lost": (0.4, _answer_lost),
     "half of another law": (0.8, _half_of_another_law),

@@ -60,6 +60,11 @@ class FaultyHand(_Faulty):
 
     _command: Any = None
 
+    @property
+    def __class__(self) -> type:  # type: ignore[override]
+        """The class of the simulated device, by which the node recognises a hand that a person at a page can push."""
+        return type(self._device)
+
     def write(self, command: Any) -> None:
         self._command = command
         self._device.write(command)

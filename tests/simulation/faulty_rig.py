@@ -11,6 +11,7 @@ import dataclasses
 import gc
 import json
 import zlib
+from bisect import bisect_right
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import Any, ClassVar, NamedTuple
 from unittest import mock
 
 import msgpack
-from fault_schedule import HAND, LINK, RECOVERY_S, TIP, Event, Schedule
+from fault_schedule import HAND, LINK, PAGE, RECOVERY_S, TIP, Event, Schedule
 from faulty_devices import FaultyHand, FaultyTip
 from faulty_disk import FaultyDisk
 from faulty_network import Way
@@ -118,6 +119,8 @@ class PersonNode(Node):
         super().__init__(context)
         self._clients: list[tuple[CommandClient, str]] = []
         self._note = note
+        # The force of a person who pushes the hand from a page, which sends it at each frame [N].
+        self.pushes: Callable[[], float] | None = None
         self._ticks = PeriodicDeadline(self.clock.monotonic_ns(), _PERSON_NS)
 
     def give(self, commands: Sequence[Command], name: str) -> None:
@@ -137,6 +140,8 @@ class PersonNode(Node):
 
     def on_deadline(self, now_ns: int) -> None:
         self._ticks.advance(now_ns)
+        if self.pushes is not None:
+            self.publish("operator/force", force_n=(0.0, 0.0, -self.pushes()))
         for client, name in [one for one in self._clients if one[0].advance()]:
             self._clients.remove((client, name))
             self._note("answered", name=name, sender=client._sender, failure=client.failure, void=client.void)
@@ -248,10 +253,12 @@ class FaultyRig(SimulatedRig):
         self.faulty_disk = disk
         self.people: dict[str, PersonNode] = {}
         self.stops: dict[str, StopNode] = {}
-        for key in ("console@master", "view@master"):
+        for key in ("console@master", PAGE):
             bus = VirtualBus(self, key, PersonNode.inputs)
             self.people[key] = PersonNode(self.wiring(key).context(bus), self.note)
             self.run_node(key, self.people[key], bus)
+        if schedule.operator == "page":
+            self.people[PAGE].pushes = lambda: _pushed_n(self.now_s)
         for key in ("estop@master", "estop@slave"):
             bus = VirtualBus(self, key, StopNode.inputs)
             self.stops[key] = StopNode(self.wiring(key).context(bus), self.note)
@@ -400,7 +407,7 @@ class FaultyRig(SimulatedRig):
         tip = PLACE_TIP if event["place"] else ARM_TIP
         commands = {"hand": (ARM_HAND,), "tip": (tip,), "both": (ARM_HAND, tip)}[event["target"]]
         busy = [key for key, one in self.people.items() if one._clients]
-        console = "view@master" if "console@master" in busy else "console@master"
+        console = PAGE if "console@master" in busy else "console@master"
         self.people[console].give(commands, "arm")
 
     def _on_start(self, event: Event) -> None:
@@ -416,7 +423,7 @@ class FaultyRig(SimulatedRig):
     def _on_link(self, event: Event) -> None:
         given = {f"{way}.delay_s": event["delay_s"] for way in self.ways}
         given |= {f"{way}.loss.probability": event["loss"] for way in self.ways}
-        self.people["view@master"].give((Command("set", "delay_node", (LINK,), given),), "link")
+        self.people[PAGE].give((Command("set", "delay_node", (LINK,), given),), "link")
 
     def stall(self, key: str, duration_s: float) -> None:
         for mate in self.mates(key):
@@ -580,15 +587,22 @@ def _as_received(way: RecorderWay) -> RecorderWay:
     return way
 
 
+def _pushed_n(at_s: float) -> float:
+    """Return the force of a person at the page, who holds that of each corner of the profile [N]."""
+    corner = bisect_right(_PROFILE, (at_s, 0.0)) - 1
+    return _PROFILE[corner][1] if corner >= 0 else 0.0
+
+
 def scenario_of(schedule: Schedule) -> dict[str, Any]:
     """Return the scenario of a session: a hand presses with two forces and lets go."""
     points = [{"time_s": time_s, "force_n": force_n} for time_s, force_n in _PROFILE]
+    profile = {"kind": "force_profile", "points": points}
     return {
         "name": "faults",
         "description": "A hand presses the tip onto mica twice, while faults happen",
         "duration_s": schedule.session_s,
         "realtime": {"rate_hz": schedule.rate_hz, "processes": schedule.processes},
-        "haptic_node": {"operator": {"kind": "force_profile", "points": points}},
+        "haptic_node": {"operator": {"kind": "interactive"} if schedule.operator == "page" else profile},
         "controller": {"law": schedule.law},
         "afm_node": {"rest_distance_m": 10.0e-9, "safety": {"force_limit_n": schedule.force_limit_n}},
         "delay_node": {way: {"delay_s": schedule.link_s} for way in ("forward", "backward")},

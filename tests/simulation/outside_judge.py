@@ -21,6 +21,8 @@ from session_files import HAND, LATE_S, LINK, TIP, Break, Fields, Newest, Sessio
 
 # Validity of a command; hold of a tip without one, before it is withdrawn [s].
 DEADLINE_S, HOLD_S = 0.05, 0.2
+# Time after the newest message of a page in which the hand that it pushes is let go [s].
+PUSHED_S = 0.1
 # Time, in addition to the round trip, within which a tip stops following after the hand last felt an answer [s].
 UNFELT_S = 0.5
 # Time for which a person waits who presses a stop [s].
@@ -67,7 +69,12 @@ def judge_tip(session: Session) -> Iterator[Break]:
 
 
 def judge_hand(session: Session) -> Iterator[Break]:
-    """Check: the hand is released when its newest command, or the sample that it answers, is too old."""
+    """Check: the hand is released when its newest command, the answered sample, or the push of a page is too old."""
+    pushes_s = [at_s for at_s, _, _ in session.sent["view@master", "operator/force"]]
+    for one in session.direct[HAND, "haptic/state"] if session.schedule.get("operator") == "page" else ():
+        pushed_s = one.sent_s - ([-1e9, *pushes_s])[bisect_right(pushes_s, one.sent_s)]
+        if one.fields["operator_force_n"][2] and pushed_s > PUSHED_S + session.grain_s:
+            yield Break("safe_in_time", one.sent_s, f"a page pushes the hand {pushed_s:.2f} s after its last message")
     commands = Newest(session.direct["controller@master", "haptic/command"])
     lost = session.missing("controller@master", "haptic/command")
     for one in session.direct[HAND, "haptic/state"]:
@@ -85,16 +92,21 @@ def judge_stops(session: Session) -> Iterator[Break]:
     """Check: after a stop nothing arms without a person; arming moves nothing; a stop is answered or kept."""
     given = {act["sender"]: (act["at_s"], act["name"]) for act in session.acts if act["what"] == "command"}
     presses = {act["id"]: act for act in session.acts if act["what"] == "press"}
-    acks, arms = set[tuple[str, str]](), list[tuple[float, str]]()
+    acks, arms, asked = set[tuple[str, str]](), list[tuple[float, str]](), _asked(session)
     for device, topic in ((HAND, "haptic/state"), (TIP, "afm/state")):
         line = [*session.direct[device, topic], *session.direct[device, "session/event"]]
         pressed_s, suspect, withdrawn, since_s, lost = None, None, False, 0.0, session.missing(device, "session/event")
+        started_s = [act["at_s"] for act in session.acts if act["what"] == "started" and act["node"] == device]
         for one in sorted(line, key=lambda one: one.sent_s):
             said = one.fields
             if suspect is not None and one.sent_s > suspect.at_s + 0.005:
-                # The answer to an arming comes after the state that it has changed, or is missing in the files.
-                yield from [suspect] if _is_known(lost, 0.0, one.sent_s) else []
+                # The answer to an arming comes after the state that it has changed. It may be missing in the files.
+                is_asked = any(given_s <= suspect.at_s and until_s >= since_s for given_s, until_s in asked)
+                yield from [] if is_asked and not _is_known(lost, since_s, one.sent_s) else [suspect]
                 suspect, pressed_s, withdrawn = None, None, False
+            while started_s and started_s[0] < one.sent_s:
+                # A new process is armed by nobody.
+                withdrawn, since_s = True, started_s.pop(0)
             if one.topic == topic:
                 moves = said["mode"] in ("follow", "hold") or said.get("armed") is True
                 left = said["mode"] != "estop" if device == TIP else not said["estop"]
@@ -121,6 +133,14 @@ def judge_stops(session: Session) -> Iterator[Break]:
             answered = (act["id"], device) in acks or device not in ended.get(act["id"], (device,))
             if not answered and not {device, LINK if device == TIP else device} & set(session.history["kept"]):
                 yield Break("stop_kept", act["at_s"], f"the stop for {device} was neither answered nor kept")
+
+
+def _asked(session: Session) -> list[tuple[float, float]]:
+    """Return the times from each command that may arm, by a person or the launcher, to its answer [s]."""
+    answered = {act["sender"]: act["at_s"] for act in session.acts if act["what"] == "answered"}
+    given = [act for act in session.acts if act["what"] == "command" and act["name"] in ("arm", "recover")]
+    asked = [(act["at_s"], answered.get(act["sender"], session.end_s)) for act in given]
+    return asked + [(at_s, at_s + UNFELT_S) for at_s, _, _ in session.sent["launcher@master", "session/control"]]
 
 
 def _judge_window(session: Session) -> Iterator[Break]:

@@ -14,12 +14,13 @@ from typing import Any, NamedTuple
 from unittest import mock
 
 import msgspec
-from fault_schedule import LINK, TIP, Event, Schedule
+from fault_schedule import HAND, LINK, PAGE, TIP, Event, Schedule
 
 import services.afm_node.node as afm_node
 import services.controller.master_half as master_half
 import services.delay_node.far_stop as far_stop
 import services.haptic_node.node as haptic_node
+import services.haptic_node.parts as haptic_parts
 from services.controller.half import ControllerHalf
 from telenano.afm import safety as tip_guard
 from telenano.analysis import holds, session_judge
@@ -40,17 +41,28 @@ Patch = contextlib.AbstractContextManager[Any]
 
 
 class Fault(NamedTuple):
-    """A planted fault: its effect, the invariants that it breaks, its patches, and events and law that show it."""
+    """A planted fault: its effect, the invariants that it breaks, its patches, and a session that shows it.
+
+    needs: the kinds of events without which no schedule shows it, in words; a word may name several, parted by `|`.
+    """
 
     about: str
     breaks: frozenset[str]
     patches: Callable[[], list[Patch]]
     events: tuple[Event, ...] = ()
     law: str = "wave"
+    operator: str = "profile"
+    needs: str = ""
+
+    def may_show(self, schedule: Schedule) -> bool:
+        """Return whether a schedule has the events without which it does not show the fault."""
+        kinds = {event["kind"] for event in schedule.events}
+        return all(kinds & set(word.split("|")) for word in self.needs.split())
 
     def schedule(self, processes: str) -> Schedule:
         """Return a schedule that shows the fault with these processes, and breaks nothing without it."""
-        return Schedule(seed=1, law=self.law, delay_s=0.02, link_s=0.0, events=self.events, processes=processes)
+        own = dict(law=self.law, events=self.events, operator=self.operator)
+        return Schedule(seed=1, delay_s=0.02, link_s=0.0, processes=processes, **own)
 
     @property
     def is_of_report(self) -> bool:
@@ -67,9 +79,9 @@ class Fault(NamedTuple):
 
 
 def _fault(
-    about: str, breaks: str, *patches: Callable[[], Patch], events: Sequence[Event] = (), law: str = "wave"
+    about: str, breaks: str, *patches: Callable[[], Patch], events: Sequence[Event] = (), **session: str
 ) -> Fault:
-    return Fault(about, frozenset(breaks.split()), lambda: [patch() for patch in patches], tuple(events), law)
+    return Fault(about, frozenset(breaks.split()), lambda: [patch() for patch in patches], tuple(events), **session)
 
 
 def _at(at_s: float, kind: str, **facts: Any) -> Event:
@@ -186,6 +198,10 @@ def _unlatched(step: Any) -> Any:
     return fallen
 
 
+def _armed(make: Any) -> Any:
+    return lambda latched, mode, reference_m, armed=True: make(latched, mode, reference_m, armed)
+
+
 def _held_in_motion(next_base: Any) -> Any:
     def moved(params: Any, base_m: float, mode: int, *rest: float) -> Any:
         return next_base(params, base_m, tip_guard.MODE_FOLLOW if mode == tip_guard.MODE_HOLD else mode, *rest)
@@ -215,6 +231,7 @@ PLANTED: dict[str, Fault] = {
         "force_limited",
         _instead(tip_guard, "safety_step", _unlimited),
         events=[_at(2.0, "device", device="tip", fault="risen", for_s=0.7)],
+        needs="device",
     ),
     "a slow retraction": _fault(
         "the base of a tip that is withdrawn goes at a thousandth of its speed",
@@ -274,6 +291,7 @@ PLANTED: dict[str, Fault] = {
             _at(1.5, "press", site="master", target="haptic_node"),
             _at(2.0, "device", device="hand", fault="lost", for_s=0.2),
         ],
+        needs="press device",
     ),
     "a tip that jumps": _fault(
         "a tip that is withdrawn is at its place of safety in one step",
@@ -290,24 +308,28 @@ PLANTED: dict[str, Fault] = {
             _at(3.2, "arm", target="both", place=False),
             _at(3.205, "press", site="slave", target="afm_node"),
         ],
+        needs="press arm",
     ),
     "a stop that expires": _fault(
         "an emergency stop whose stamp is old, or of a clock that differs, is refused",
         "stop_kept goes_on stop_is_last",
         lambda: mock.patch.object(commands, "_OBEYED_AT_ANY_AGE", ("stop",)),
         events=[_at(0.0, "clock", ahead_s=-7.0, drift_ppm=0), _at(2.0, "press", site="master", target="*")],
+        needs="press",
     ),
     "the window of a late stop": _fault(
         "the link lets samples of the hand pass while the instrument has not obeyed a stop",
         "stop_is_last",
         _instead(far_stop.FarStop, "holds_back", lambda _: lambda self, message: False),
         events=[_at(2.0, "press", site="master", target="afm_node")],
+        needs="press",
     ),
     "a stale place": _fault(
         "an arming lets the base go to where the hand stands",
         "stop_is_last",
         _instead(tip_guard, "_begun", _going_on_its_own),
         events=[_at(2.0, "press", site="slave", target="afm_node"), _at(3.7, "arm", target="both", place=False)],
+        needs="arm",
     ),
     "an outage near the end of a hold": _fault(
         "a hold is praised whatever has interrupted it",
@@ -349,6 +371,19 @@ PLANTED: dict[str, Fault] = {
             _at(0.345, "stall", node="controller@slave", for_s=0.08),
             _at(0.366, "delay", forward_s=0.03, backward_s=0.03),
         ],
+    ),
+    "a push that does not end": _fault(
+        "the hand goes on being pushed by a page that has gone silent",
+        "safe_in_time",
+        _instead(haptic_parts, "age_s", lambda _: lambda now_ns, then_ns: 0.0),
+        events=[_at(2.0, "stall", node=PAGE, for_s=0.6)],
+        operator="page",
+    ),
+    "a hand that begins armed": _fault(
+        "a new process of the hand counts as armed",
+        "stop_is_last",
+        _instead(hand_guard, "SafetyState", _armed),
+        events=[_at(2.0, "kill", node=HAND, after=0, torn=0.0)],
     ),
     "a hand that feels nothing": _fault(
         "a hand counts as one that feels the tip, whenever the last answer came",
@@ -425,6 +460,7 @@ PLANTED: dict[str, Fault] = {
             _at(1.5, "press", site="master", target="*"),
             _at(7.0, "kill", node=LINK, after=0, torn=0.0),
         ],
+        needs="press",
     ),
     "a stop that ends with its process": _fault(
         "a device that is started again does not look for the stop that is kept for it",
@@ -434,6 +470,7 @@ PLANTED: dict[str, Fault] = {
             _at(1.5, "press", site="slave", target="afm_node"),
             _at(2.0, "kill", node=TIP, after=0, torn=0.0),
         ],
+        needs="press kill|site_restart",
     ),
     "a tip that follows again by itself": _fault(
         "a tip that was withdrawn follows as soon as fresh commands come",
@@ -449,6 +486,7 @@ PLANTED: dict[str, Fault] = {
             _at(1.6, "law", law="virtual_impedance"),
             _at(2.5, "kill", node="controller@slave", after=0, torn=0.0),
         ],
+        needs="law kill|site_restart",
     ),
     "a node that stays away": _fault(
         "a node whose process has ended is not started again",

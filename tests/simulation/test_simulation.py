@@ -16,7 +16,7 @@ import msgpack
 import outside_judge
 import pytest
 from campaign import INVARIANTS, Tried, tried
-from fault_schedule import HAND, KINDS, LINK, PROCESSES, RATES_HZ, SESSION_S, TIP, Event, Schedule
+from fault_schedule import HAND, KINDS, LINK, OPERATORS, PROCESSES, RATES_HZ, SESSION_S, TIP, Event, Schedule
 from planted import PLANTED
 from reached import SITUATIONS
 from shrunk import MOST_EVENTS, shrunk
@@ -68,6 +68,7 @@ def test_a_schedule_is_data_that_comes_from_its_seed() -> None:
     assert {event["kind"] for one in drawn for event in one.events} == KINDS
     assert {one.rate_hz for one in drawn} == set(RATES_HZ)
     assert {one.processes for one in drawn} == set(PROCESSES)
+    assert {one.operator for one in drawn} == set(OPERATORS)
     assert min(one.session_s for one in drawn) < 2.0
     assert max(one.session_s for one in drawn) == SESSION_S
     ends = {(one["how"]) for each in drawn for one in each.events if one["kind"] == "kill" and "how" in one}
@@ -142,6 +143,7 @@ def test_a_planted_fault_breaks_what_it_is_said_to_break_and_nothing_else(name: 
 def check_found(name: str, processes: str) -> None:
     fault = PLANTED[name]
     schedule = fault.schedule(processes)
+    assert fault.may_show(schedule)
     assert unexpected(tried(schedule)) == []
     with fault.planted():
         broken = {found.invariant for found in tried(schedule).breaks}
@@ -219,6 +221,14 @@ MENDED = {
             {"at_s": 0.0, "kind": "clock", "ahead_s": -0.2, "drift_ppm": 0},
             {"at_s": 1.536, "kind": "kill", "node": LINK, "after": 0, "torn": 0.0},
         ),
+        100.0,
+    ),
+    "the step in which a stop ends a contact is no step of the contact": Schedule(
+        96000050,
+        "wave",
+        0.05,
+        0.01,
+        ({"at_s": 2.106, "kind": "press", "site": "slave", "target": "afm_node"},),
         100.0,
     ),
     "a tip that the start of the session places was not moved by an earlier arming": Schedule(

@@ -4,7 +4,6 @@ What may be missing on it is imported late: its absence is a finding.
 """
 
 import importlib.util
-import os
 import resource
 import shutil
 import sys
@@ -39,6 +38,7 @@ from telenano.settings.plugins import (
     of_no_kind,
     scenario_files,
 )
+from telenano.signals.children import permitted
 from telenano.wire.errors import ConfigError, EndpointError, RigError, TelenanoError
 from telenano.wire.extras import extra_of, how_to_install
 
@@ -111,14 +111,14 @@ def examine(site_file: Path) -> list[Finding]:
 
 def machine(*, container: bool) -> list[Finding]:
     """Check what this machine permits a process of this user to do."""
-    permitted = os.sched_getaffinity(0)
+    usable = permitted()
     quota = checks.cpu_quota(Path("/sys/fs/cgroup"), Path("/proc/self/cgroup"))
     runtime = Path("/proc/sys/kernel/sched_rt_runtime_us")
     runtime_us = runtime.read_text().strip() if runtime.exists() else None
     here = Path.cwd()
     return [
-        checks.check_processors(len(permitted), quota),
-        checks.check_rig_processors(len(permitted), held(permitted, shared_folder())),
+        checks.check_processors(len(usable), quota),
+        checks.check_rig_processors(len(usable), held(usable, shared_folder())),
         checks.check_fifo(checks.attempt_fifo(), _limit(resource.RLIMIT_RTPRIO), runtime_us, container=container),
         checks.check_memory_lock(checks.attempt_memory_lock(), _limit(resource.RLIMIT_MEMLOCK), container=container),
         checks.check_synchronised(checks.kernel_clock()),

@@ -14,7 +14,7 @@ from telenano.cli.options import FormatOption, JobsOption, JsonOption, SameSessi
 from telenano.cli.output import fail_incomplete, fail_with_summary, print_answer, print_summary, report_errors
 from telenano.cli.sweep import run_children
 from telenano.recording.session_folder import recordings_of
-from telenano.signals.children import processors
+from telenano.signals.children import permitted
 from telenano.wire.errors import ConfigError, NoRecordingError, ReportError
 
 
@@ -47,7 +47,7 @@ def report(
     with report_errors(as_json):
         folders = [] if out or same_session else _folders_of(files)
         if folders:
-            _report_each(folders, formats, style, jobs or processors(), as_json=as_json)
+            _report_each(folders, formats, style, jobs or len(permitted()), as_json=as_json)
             return
         out = out or _own_folder(files)
         files = [file for path in files for file in recordings_of(path)]

@@ -16,7 +16,7 @@ from telenano.cli.option_rules import Void, rules
 from telenano.cli.options import JsonOption, ListenOption, SiteFileOption
 from telenano.cli.output import NO_ROOM, console, fail, print_answer, print_json, report_errors
 from telenano.cli.tables import LEVEL_STYLES, counts_text, figures
-from telenano.launcher.processors import fits_text, held, permitted, shared_folder
+from telenano.launcher.processors import fits_text, held, shared_folder
 from telenano.launcher.rig_status import NEEDED, RigStatus, document_of, expected_nodes, listen
 from telenano.launcher.rigs import RigFacts, about_rig, lists_all_folders, rigs_elsewhere, running_rigs
 from telenano.runtime.bus.address_book import AddressBook
@@ -24,6 +24,7 @@ from telenano.runtime.bus.holders import look
 from telenano.runtime.bus.local_endpoint import FIRST_RIG, RIG_VARIABLE, RUNTIME_DIRECTORY_VARIABLE, base_directory
 from telenano.runtime.wiring.observer import Observer
 from telenano.settings.included import DEFAULT_SITE_FILE
+from telenano.signals.children import permitted
 from telenano.timing.loop_age import Part, in_words
 
 _DEFAULT_S = 1.5

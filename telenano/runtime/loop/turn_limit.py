@@ -10,6 +10,7 @@ shared process (`telenano/runtime/site`) it does, so a turn has a limit there, b
 The second timer does not detect a turn that waits in a call that no signal interrupts.
 """
 
+import math
 import os
 import signal
 import time
@@ -71,8 +72,10 @@ class TurnLimit:
             self._could_run_s += min(max(ran_s, 0.0), TICK_S)
         self._at_s, self._waited_s = now_s, waited_s
         if self._could_run_s >= LIMIT_S - 0.5 * TICK_S and SIGNAL is not None:
-            self._tell(f"a turn of {self._whose()} has not ended within {1e3 * LIMIT_S:.0f} ms: its process is ended")
+            # A tick that comes while the line is written must not write it again.
+            self._could_run_s = -math.inf
             signal.setitimer(signal.ITIMER_REAL, 0.0)
+            self._tell(f"a turn of {self._whose()} has not ended within {1e3 * LIMIT_S:.0f} ms: its process is ended")
             os.kill(os.getpid(), SIGNAL)
 
 

@@ -1,7 +1,6 @@
 """The sessions of a sweep: their names, their options, and the command of a package that compares them."""
 
 import json
-import os
 import signal
 import threading
 import time
@@ -201,7 +200,8 @@ def test_an_interruption_ends_the_running_session_and_begins_no_other(
         begun.append(Path(command[command.index("--out") + 1]).name)
         if len(begun) == 1:
             return {}
-        os.kill(os.getpid(), signal.SIGINT)
+        # The kernel may give the signal to any thread.
+        signal.pthread_kill(threading.get_ident(), signal.SIGINT)
         try:
             for _ in range(2000):
                 progress(0.0)

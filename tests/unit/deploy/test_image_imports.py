@@ -1,4 +1,4 @@
-"""What a container of a node imports is in its image: neither the writer of recordings nor what draws and studies."""
+"""The container of a node imports neither the writer of recordings nor what draws and studies."""
 
 import subprocess
 import sys
@@ -29,6 +29,6 @@ import telenano_devices.force_dimension.dhd, telenano_devices.haply.haply, telen
 
 
 @pytest.mark.check("takes 1.2 s")
-def test_the_nodes_their_drivers_and_their_entry_point_import_only_what_their_images_have() -> None:
+def test_the_nodes_their_drivers_and_their_entry_point_import_only_what_a_loop_needs() -> None:
     done = subprocess.run([sys.executable, "-c", _IMPORTS + _DRIVERS], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

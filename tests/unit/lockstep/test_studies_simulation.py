@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 import telenano
+from telenano.analysis.summary import Summary
 from telenano.lockstep import lockstep
 from telenano.wire.errors import ConfigError
 
@@ -28,6 +30,20 @@ def test_the_session_is_that_of_the_paper(fig12: telenano.SimulatedSession) -> N
     # 1 + 1/K_f
     assert ratio.mean() == pytest.approx(1.05, rel=1e-3)
     assert 100.0 * fig12["reference_m"][-500:].mean() == pytest.approx(0.703, rel=2e-3)
+
+
+def test_the_summary_has_the_keys_of_a_recording_as_far_as_a_lockstep_has_them(
+    fig12: telenano.SimulatedSession, recording_of: Callable[..., Path]
+) -> None:
+    recorded = telenano.open(recording_of()).summary
+    # Every key fits the model of the summary of a recording.
+    both = Summary.model_validate({**recorded, **fig12.summary}).model_dump(exclude_unset=True)
+    assert {name: both[name] for name in fig12.summary} == fig12.summary
+    assert (fig12.summary["verdict"], fig12.summary["reason"]) == (fig12.verdict, fig12.reason)
+    assert fig12.summary["hold_ratio"] == pytest.approx(1.05, rel=1e-6)
+    assert fig12.summary["contact_x_cm"] == pytest.approx(0.703, rel=2e-3)
+    assert [hold["hold_ratio"] for hold in fig12.summary["holds"]] == [hold.hold_ratio for hold in fig12.holds]
+    assert not {"recording", "seq_gaps", "loop_age_ms"} & set(fig12.summary)
 
 
 def test_columns_have_units_and_one_length(fig12: telenano.SimulatedSession) -> None:
@@ -81,6 +97,7 @@ def test_what_cannot_be_simulated_says_why(given: dict[str, object], text: str) 
 
 LOOP_OF_CALLS = """
 import hashlib, sys, telenano
+from telenano.analysis.summary import Summary
 from telenano.lockstep import lockstep
 lockstep.PLAIN_TICKS, calls = map(int, sys.argv[1:])
 for _ in range(calls):

@@ -96,7 +96,7 @@ def test_tasks_of_all_nodes_share_one_gap_and_each_node_sees_its_own() -> None:
 
 
 LIMITED = """
-import sys, time
+import signal, sys, time
 from telenano.runtime.loop.turn_limit import TurnLimit
 
 def burn(cpu_s):
@@ -104,7 +104,12 @@ def burn(cpu_s):
     while time.process_time() - begin < cpu_s:
         pass
 
-limit = TurnLimit(lambda: "afm_node@slave", lambda text: print(text, flush=True))
+def tell(text):
+    # a tick while the line is written
+    signal.raise_signal(signal.SIGALRM)
+    print(text, flush=True)
+
+limit = TurnLimit(lambda: "afm_node@slave", tell)
 limit.begin()
 {work}
 limit.end()

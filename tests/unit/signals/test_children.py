@@ -3,10 +3,13 @@ import contextlib
 import importlib.util
 import os
 import re
+import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -256,13 +259,13 @@ def by_sweep(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
         "from telenano.signals import children\n"
         "if __name__ == '__main__':\n"
         f"    {safe}\n"
-        "    print(list(children.in_processes(1, abs, [-7])), 'PYTHONSAFEPATH' in os.environ)\n"
+        "    print(sorted(children.in_processes(2, abs, [-7, -8])), 'PYTHONSAFEPATH' in os.environ)\n"
     )
     script = folder.parent / "bin" / "script.py"
     script.parent.mkdir()
     script.write_text(code)
     done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)
-    return done.stdout.strip() == "[(0, 7)] False" and not done.stderr
+    return done.stdout.strip() == "[(0, 7), (1, 8)] False" and not done.stderr
 
 
 def by_experiment(folder: Path, monkeypatch: pytest.MonkeyPatch) -> bool:
@@ -311,6 +314,8 @@ STARTED: dict[str, tuple[Start, ...] | str] = {
     "telenano/launcher/processes.py": (by_launcher,),
     "telenano/recording/provenance.py": "git",
     "telenano/virtual/simulate_all.py": "its workers are those of a sweep",
+    "telenano/api.py": "its workers are those of a sweep",
+    "packages/telenano-lab/telenano_lab/studies/comparison.py": "its workers are those of a sweep",
     "telenano/files/limited_child.py": (by_reader, by_watched_reader),
     "telenano/cli/commands/node.py": (by_node_command,),
     "telenano/doctor/checks.py": "Python with -I",
@@ -343,3 +348,21 @@ def test_a_process_takes_the_place_of_this_one_with_a_safe_path() -> None:
         "1",
         "True",
     ]
+
+
+def test_a_signal_that_another_thread_has_received_ends_the_wait_for_futures() -> None:
+    waits, stop = threading.Event(), threading.Event()
+
+    def work() -> bool:
+        waits.wait(60.0)
+        signal.pthread_kill(threading.get_ident(), signal.SIGINT)
+        return stop.wait(60.0)
+
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    with ThreadPoolExecutor(1) as pool:
+        future = pool.submit(work)
+        with pytest.raises(KeyboardInterrupt):
+            waits.set()
+            list(children.as_ended([future]))
+        stop.set()
+    assert future.result(), "the wait ended before the work did"

@@ -93,15 +93,16 @@ def state_of(plan: Plan, records: Sequence[Record]) -> dict[str, Any]:
         progress = progress_of(records, participant)
         attempts = [record for outcomes in progress.outcomes.values() for record in outcomes]
         kinds = Counter(record["status"] for record in attempts)
+        done = sum(any(record["final"] for record in outcomes) for outcomes in progress.outcomes.values())
         rows.append(
             {
                 "participant": participant,
-                "done": sum(any(record["final"] for record in outcomes) for outcomes in progress.outcomes.values()),
+                "done": done,
                 "left": left.get(participant, 0),
                 "disturbed": kinds["disturbed"],
                 "aborted": kinds["aborted"],
                 "sessions": len(progress.sessions),
-                "state": _state(progress.erased, progress.excluded, participant in left),
+                "state": _state(progress.erased, progress.excluded, done, left.get(participant)),
             }
         )
     last = records[-1] if records else {}
@@ -116,7 +117,11 @@ def state_of(plan: Plan, records: Sequence[Record]) -> dict[str, Any]:
     }
 
 
-def _state(erased: bool, excluded: str, is_open: bool) -> str:
+def _state(erased: bool, excluded: str, done: int, left: int | None) -> str:
     if erased:
         return "erased"
-    return f"excluded: {excluded}" if excluded else "to do" if is_open else "done"
+    if excluded:
+        return f"excluded: {excluded}"
+    if left is None:
+        return "done"
+    return f"half done: {done} of {done + left} trials" if done else "to do"

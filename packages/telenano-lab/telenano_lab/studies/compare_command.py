@@ -10,6 +10,7 @@ import typer
 from telenano.analysis import FigureOptions
 from telenano.cli import (
     FormatOption,
+    JobsOption,
     JsonOption,
     SameSessionOption,
     StyleOption,
@@ -44,6 +45,7 @@ def compare(
     formats: FormatOption = "png",
     style: StyleOption = "screen",
     table: TableOption = "csv",
+    jobs: JobsOption = None,
     same_session: SameSessionOption = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -62,6 +64,7 @@ def compare(
             paper=paper,
             tables=table,
             same_session=same_session,
+            jobs=jobs,
         )
     print_comparison(comparison, out, as_json=as_json)
 
@@ -82,6 +85,7 @@ def compare_sessions(
     paper: bool = False,
     tables: str = "csv",
     same_session: bool = False,
+    jobs: int | None = None,
 ) -> Comparison:
     """Write figure and tables of sessions into a folder; return the rows of the tables.
 
@@ -95,7 +99,7 @@ def compare_sessions(
 
     kinds = table_formats(tables)
     points = [*([paper_points()] if paper else []), *map(read_published, published)]
-    comparison = read(sessions, same_session=same_session)
+    comparison = read(sessions, same_session=same_session, jobs=jobs)
     rows = rows_of(comparison)
     statistics = statistics_of(rows, [session.scenario for session in comparison])
     summaries = {session.name: session.summary for session in comparison}

@@ -5,6 +5,7 @@ import re
 import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,6 +15,7 @@ import numpy.typing as npt
 from telenano.analysis import FigureOptions, Session, summary_of
 from telenano.recording import demand_several, files_of, open_recordings, recordings_of
 from telenano.settings import LoadedScenario
+from telenano.signals import in_processes
 from telenano_lab.studies.figure_colours import LINES, ON_SCREEN, Look, looks
 from telenano_lab.studies.published import PANELS, PublishedPoints, nearest
 from telenano_lab.studies.repetitions import conditions_of, repetitions
@@ -101,12 +103,13 @@ def _named(path: Path) -> Path:
     return path.parent if path.stem == "session" else path.with_suffix("")
 
 
-def compare(paths: Sequence[Path], *, same_session: bool = False) -> list[ComparedSession]:
+def compare(paths: Sequence[Path], *, same_session: bool = False, jobs: int | None = None) -> list[ComparedSession]:
     """Read sessions, each once.
 
     Args:
         paths: For each session its recording, or the folder with its files.
         same_session: Whether to join files of a folder that do not state that they are of one session.
+        jobs: The number of sessions that are judged at a time; None for the number of processors.
 
     Raises:
         RecordingError: A file has no session, the files of a folder are not of one, or two paths are of one session.
@@ -115,12 +118,18 @@ def compare(paths: Sequence[Path], *, same_session: bool = False) -> list[Compar
     opened = {path: open_recordings(recordings_of(path), same_session=same_session) for path in paths}
     once = demand_several([files_of(recording) for recording in opened.values()])
     opened = {path: recording for (path, recording), wanted in zip(opened.items(), once, strict=True) if wanted}
-    rows = []
-    for name, recording in zip(names_of(list(opened)), opened.values(), strict=True):
-        session = Session.of(recording)
-        scenario = LoadedScenario.attached(recording.path, recording.attachments).scenario.model_dump(mode="json")
-        rows.append(ComparedSession(name, session, summary_of(session, recording), scenario))
-    return rows
+    named = [(name, path, same_session) for name, path in zip(names_of(list(opened)), opened, strict=True)]
+    with closing(in_processes(jobs, _judged, named)) as done:
+        rows = dict(done)
+    return [rows[place] for place in sorted(rows)]
+
+
+def _judged(named: tuple[str, Path, bool]) -> ComparedSession:
+    name, path, same_session = named
+    recording = open_recordings(recordings_of(path), same_session=same_session)
+    session = Session.of(recording)
+    scenario = LoadedScenario.attached(recording.path, recording.attachments).scenario.model_dump(mode="json")
+    return ComparedSession(name, session, summary_of(session, recording), scenario)
 
 
 def rows_of(sessions: Sequence[ComparedSession]) -> list[dict[str, Any]]:
@@ -271,8 +280,8 @@ def compare_figures(
         paths: list[Axes] = []
         for number in range(len(conditions)):
             beside = paths[0] if paths else None
-            place = grid[2 + number // columns, number % columns]
-            paths.append(figure.add_subplot(place, sharex=beside, sharey=beside))
+            own_place = grid[2 + number // columns, number % columns]
+            paths.append(figure.add_subplot(own_place, sharex=beside, sharey=beside))
         _draw_reference(force, sessions[0], f"$F_m$, {sessions[0].name}", 2.4)
         for condition, own, look, path in zip(conditions, drawn, looks(len(conditions)), paths, strict=True):
             _draw([force, position, path], own, look, f"{condition.label}: {condition.outcome}")

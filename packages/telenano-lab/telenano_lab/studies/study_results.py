@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import os
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -27,7 +26,7 @@ def sweep_in(
     with results_in(out, at_once=True), progress("cells", shown=shown, counted=True) as show:
         yield Sweep(
             Journal(out / JOURNAL_NAME, kind),
-            workers or os.cpu_count() or 1,
+            workers,
             scheduler,
             show,
             warn_of,

@@ -47,7 +47,11 @@ def test_all_trials_of_all_participants_are_done_in_their_order(tmp_path: Path) 
     assert rows[1]["verified"]["law"] == rows[1]["condition"]["law"]
     with Journal(tmp_path / "journal.jsonl") as journal:
         assert journal.records[-1]["record"] == "ended"
-        assert state_of(plan, journal.records)["trials_left"] == 0
+        records = journal.records
+    assert state_of(plan, records)["trials_left"] == 0
+    after = [place + 1 for place, record in enumerate(records) if record["record"] == "trial"][:13]
+    states = [state_of(plan, records[:end])["participants"][0]["state"] for end in (0, *after, len(records))]
+    assert states == ["to do", *(f"half done: {count} of 13 trials" for count in range(1, 14)), "done"]
 
 
 @pytest.mark.parametrize("at", [0, 1, 5, 6, 11])

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from telenano_lab.studies.comparison import compare, compare_figures, names_of, sessions_in
+from telenano_lab.studies.comparison import Drawn, compare, compare_figures, names_of, rows_of, sessions_in
 
 from telenano.testing import invoke
 
@@ -49,6 +49,17 @@ def test_the_figure_is_written_in_every_format_with_every_session(compared: tupl
     assert (out / "compare.png").stat().st_size > 20_000
     text = (out / "compare.svg").read_text()
     assert all(word in text for word in ("a: ", "b: ", "(a)", "(c)", "(d)", "distance h (nm)"))
+
+
+@pytest.mark.check("starts two processes")
+def test_sessions_that_are_judged_side_by_side_give_the_same_rows(recording_of: Callable[[str], Path]) -> None:
+    paths = [recording_of("wave"), recording_of("virtual_impedance")]
+    alone, together = (compare(paths, jobs=jobs) for jobs in (1, 2))
+    assert rows_of(alone) == rows_of(together)
+    assert [one.summary for one in alone] == [one.summary for one in together]
+    for one, other in zip(alone, together, strict=True):
+        for curve, again in zip(Drawn.of(one).curves, Drawn.of(other).curves, strict=True):
+            np.testing.assert_array_equal(curve, again)
 
 
 def test_one_session_and_a_folder_without_one_are_refused(tmp_path: Path) -> None:

@@ -56,7 +56,9 @@ def test_each_condition_is_a_colour_and_its_seeds_share_it() -> None:
         assert all(len(set(seen[place : place + 3])) == 1 for place in range(0, 18, 3))
     # Force against distance lies on one curve, so that each condition has a panel of it, on the same axes.
     paths = figure.axes[2:]
-    assert [[line.get_color() for line in curves(panel)] for panel in paths] == [[colour] * 3 for colour, _ in seen[::3]]
+    assert [[line.get_color() for line in curves(panel)] for panel in paths] == [
+        [colour] * 3 for colour, _ in seen[::3]
+    ]
     assert len({(panel.get_xlim(), panel.get_ylim()) for panel in paths}) == 1
     (legend,) = figure.legends
     texts = [text.get_text() for text in legend.get_texts()]

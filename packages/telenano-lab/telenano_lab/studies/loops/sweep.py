@@ -120,13 +120,14 @@ class Journal:
 
 @dataclass
 class Sweep:
-    """Runs cells and keeps their results. `workers`: processes on this machine; `scheduler`: a Dask cluster instead.
+    """Runs cells and keeps their results.
 
+    `workers`: processes on this machine, None for one a processor; `scheduler`: a Dask cluster instead.
     `warn` receives a sentence, once, for each sample that is too stiff for its law.
     """
 
     journal: Journal
-    workers: int
+    workers: int | None
     scheduler: str | None = None
     progress: Progress = silent
     warn: Callable[[str], None] = unheard
@@ -160,8 +161,6 @@ class Sweep:
         batches = [cells[i : i + kind.batch] for i in range(0, len(cells), kind.batch)]
         if self.scheduler is not None:
             yield from _on_cluster(self.scheduler, batches, kind, self.warn)
-        elif self.workers == 1 or len(batches) < 2:
-            yield from (run_batch(batch, kind.run) for batch in batches)
         else:
             run = partial(run_batch, run=kind.run)
             with contextlib.closing(in_processes(self.workers, run, batches)) as computed:
