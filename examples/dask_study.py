@@ -2,8 +2,8 @@
 
 Run it: python examples/dask_study.py [FOLDER]     takes: 40 s     needs: pip install 'telenano[viz,dask]'
 You see: a map of verdicts: the greater the gain, the less delay it allows. LocalCluster starts workers on this machine,
-at a port that its other users reach too; Client("tcp://HOST:8786") uses a cluster of machines, which docs/scale.md says
-how to start and to protect.
+at a port that its other users reach too; Client("tcp://HOST:8786") uses a cluster of machines.
+scale.md of telenano-lab says how to start and to protect one.
 """
 
 import sys

@@ -58,7 +58,7 @@ FactKind = Literal[
     "grows_small",
 ]
 
-# The thresholds of the episodes and of their facts; docs/studies.md has them in one table with those of the verdicts.
+# The thresholds of the episodes and of their facts; docs/verdicts.md has them in one table with those of the verdicts.
 # shortest hold [s]: a slow loop swings at some 5 Hz
 SHORTEST_HOLD_S = 0.5
 # change of the hand's force in a hold, as a share of its greatest [1]: sensors of hands resolve no less

@@ -17,7 +17,7 @@ _INTRUDERS = {
     "ModemManager": "writes AT commands to a new port for 10 s",
     "brltty": "takes adapters with CH340, CP210x and FT232 away",
 }
-_RULE = "install the udev rule of docs/devices.md"
+_RULE = "install the udev rule of packages/telenano-devices/docs/devices.md"
 
 
 def check_serial_ports(

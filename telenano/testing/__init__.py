@@ -1,7 +1,7 @@
 """A kit for the tests of packages: nodes, rigs, recordings, wires and damaged files, as a plug-in of pytest.
 
 `pip install telenano[testing]` adds pytest, which finds the fixtures of `telenano.testing.plugin` by itself. The
-functions and classes exported here work with any other test runner too. docs/extending/tests.md has a test with each.
+functions and classes exported here work with any other test runner too. README.md of this folder has tests with them.
 """
 
 from typing import TYPE_CHECKING

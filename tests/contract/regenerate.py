@@ -35,7 +35,7 @@ def of_everything() -> dict[Path, str]:
     files[SCHEMA_DIRECTORY / "summary.json"] = json.dumps(summary_schema(), indent=2) + "\n"
     files[ROOT / "docs" / "summary.md"] = markdown()
     felt = importlib.import_module("telenano_lab.studies.pages.felt_page")
-    files[ROOT / "docs" / "felt-measured.md"] = felt.markdown()
+    files[ROOT / "packages" / "telenano-lab" / "docs" / "felt-measured.md"] = felt.markdown()
     return files
 
 

@@ -1,4 +1,4 @@
-"""Each estimator of docs/fit.md refuses, or says, what does not fit: one table of what each of them is given."""
+"""Each estimator of the page fit.md refuses, or says, what does not fit: one table of what each of them is given."""
 
 import importlib
 import math
@@ -14,7 +14,7 @@ import pytest
 from telenano.sections.afm_section import AfmConfig
 from telenano.wire.errors import TelenanoError
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "fit.md"
+PAGE = Path(__file__).resolve().parents[2] / "packages" / "telenano-devices" / "docs" / "fit.md"
 
 
 def _function(name: str) -> Callable[..., object]:

@@ -1,4 +1,4 @@
-"""The tests that docs/extending/tests.md shows pass as they stand there, in an empty folder and without a conftest."""
+"""The tests of telenano/testing/README.md pass as they stand there, in an empty folder and without a conftest."""
 
 import os
 import re
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-PAGE = Path(__file__).parents[2] / "docs" / "extending" / "tests.md"
+PAGE = Path(__file__).parents[2] / "telenano" / "testing" / "README.md"
 SECTION = PAGE.read_text(encoding="utf-8")
 BLOCKS = {
     re.findall(r"def (test_\w+)", text)[0]: text for text in re.findall(r"```python\n(.*?)```", SECTION, re.DOTALL)

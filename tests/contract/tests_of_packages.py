@@ -30,8 +30,8 @@ class TestsOfPackages(Contract):
         for text in check.metadata["found"]:
             output.print_error(text, bold=False)
         output.print_error(
-            "Import what is named there from `telenano.testing` (docs/extending/tests.md), from a folder `doubles` that"
-            " a package has among its modules, or from a file beside the test.",
+            "Import what is named there from `telenano.testing` (telenano/testing/README.md), from a folder `doubles` "
+            "that a package has among its modules, or from a file beside the test.",
             bold=False,
         )
 

@@ -101,7 +101,7 @@ def pictures() -> tuple[Picture, ...]:
     """Return the pictures of the documents that are made by a command."""
     return tuple(
         Picture(str(page.relative_to(ROOT)), *found)
-        for page in sorted(ROOT.glob("docs/*.md"))
+        for page in sorted({ROOT / line.page for line in lines()})
         for found in re.findall(r'!\[[^\]]*\]\((\S+) "(out/\S+)"\)', page.read_text(encoding="utf-8"))
     )
 

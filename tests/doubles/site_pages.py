@@ -31,10 +31,15 @@ _OTHERS = {
     and not str(path.relative_to(ROOT)).startswith((".", "telenano-"))
 }
 # Pictures of these documents.
-_PICTURES = {str(path.relative_to(ROOT)): path for path in sorted(ROOT.glob("examples/*.png"))}
+_PICTURES = {
+    str(path.relative_to(ROOT)): path
+    for pattern in ("examples/*.png", "packages/*/docs/**/*.png", "packages/*/docs/*.svg")
+    for path in sorted(ROOT.glob(pattern))
+}
 _PREFIX = "repository/"
 # Pages whose pictures need the space of the table of contents.
-_WIDE = {"index.md": ["navigation", "toc"], "gallery.md": ["toc"], "unstable.md": ["toc"]}
+_GALLERY = "repository/packages/telenano-lab/docs/gallery.md"
+_WIDE = {"index.md": ["navigation", "toc"], _GALLERY: ["toc"], "unstable.md": ["toc"]}
 # The picture that the site replaces by the interactive gallery of delay.
 _STILL = re.compile(r"^!\[[^\]]*\]\(view/gallery\.png\)$", re.MULTILINE)
 _SLIDER = "<!-- the gallery of delay -->"
@@ -83,6 +88,7 @@ def write_pages(folder: Path) -> None:
         page.parent.mkdir(parents=True, exist_ok=True)
         page.write_text(page_of(path.read_text(encoding="utf-8"), f"{_PREFIX}{name}"), encoding="utf-8")
     for name, path in _PICTURES.items():
+        (folder / _PREFIX / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(path, folder / _PREFIX / name)
 
 

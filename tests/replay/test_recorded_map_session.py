@@ -1,4 +1,4 @@
-"""The worked example of docs/recorded-maps.md: it runs as printed, and a bilateral session feels it."""
+"""The worked example of recorded-maps.md (telenano-lab): it runs as printed, and a bilateral session feels it."""
 
 import json
 import os
@@ -19,7 +19,7 @@ from telenano.recording.reader import Recording
 from telenano.rerun.rerun import rerun
 from telenano.virtual import record_session
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "recorded-maps.md"
+PAGE = Path(__file__).resolve().parents[2] / "packages" / "telenano-lab" / "docs" / "recorded-maps.md"
 # measured files are not part of the project; those of afmformats' own tests are public
 MEASURED = Path(os.environ.get("TELENANO_MEASURED", Path(__file__).resolve().parents[3] / "shared" / "data"))
 EXAMPLE = r"# Recorded maps.*?```python\n(.*?)```\s+```sh\n(.*?)```.*?```text\n(.*?)```"

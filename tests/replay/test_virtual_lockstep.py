@@ -11,7 +11,7 @@ says so. How the two are aligned:
   when the hand's force is still zero. What both have is compared: session times from 1 ms on.
 - Values of the tip are those at the end of the tick: the last afm/state sent before the next haptic/state.
 - A link delay of whole periods and a few transits on a site bring a message into the tick at whose very beginning it
-  arrives in lockstep. On both sides the hand is sampled before that. The half period that `docs/studies.md` adds to a
+  arrives in lockstep. On both sides the hand is sampled before that. The half period that `studies.md` adds to a
   delay is the hold of the law's integration, which is the same code here and there.
 
 The arm is placed 1 ns before the second position command, so that the base moves for 1 ms - 1 ns and then 1 ns where

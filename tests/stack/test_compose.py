@@ -35,7 +35,7 @@ BUILD_S, PATIENCE_S = 1500.0, 180.0
 SOON_NS = 1_000_000_000
 # the rate of each session until the machine lets one through; the first has that of its scenario
 RATES_HZ = ("", "500", "250")
-# round trip at which the contact becomes unstable under the paper's law (docs/studies.md), and the part of it allowed
+# round trip at which the contact becomes unstable under the paper's law (studies.md), and the part of it allowed
 CRITICAL_MS, LATEST_SHARE = 51.0, 0.5
 
 

@@ -115,8 +115,9 @@ def test_the_certificate_of_the_page_by_the_letter(tmp_path: Path) -> None:
 
 
 def test_the_emulated_devices_by_the_letter(rig: Rig, tmp_path: Path) -> None:
-    found = [line for line in lines_of("docs/devices.md") if "handle.yaml" in line.text or "stage.yaml" in line.text]
-    found += [line for line in lines_of("docs/devices.md") if "probe --port" in line.text]
+    page = lines_of("packages/telenano-devices/docs/devices.md")
+    found = [line for line in page if "handle.yaml" in line.text or "stage.yaml" in line.text]
+    found += [line for line in page if "probe --port" in line.text]
     link, environment = tmp_path / "port", {**environment_of(), "TELENANO_RUNTIME_DIR": str(rig.sockets)}
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))

@@ -32,7 +32,7 @@ def maker_of(picture: Picture) -> Line:
 
 
 def test_every_page_with_pictures_has_the_commands_that_make_them() -> None:
-    assert len([picture for picture in pictures() if picture.page == "docs/gallery.md"]) >= 8
+    assert len([picture for picture in pictures() if picture.page == "packages/telenano-lab/docs/gallery.md"]) >= 8
     assert {maker_of(picture) for picture in pictures()} >= set(of_kind(PICTURE))
     assert all(line in lines() for line in of_kind(PICTURE))
 

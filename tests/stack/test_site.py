@@ -19,8 +19,9 @@ from test_gallery_page import MOVE, SAID
 pytestmark = [pytest.mark.stack, pytest.mark.endurance, pytest.mark.timeout(1500)]
 
 PAGES = (
-    "index.html", "gallery.html", "unstable.html", "tutorial.html", "operating.html", "cli.html", "architecture.html",
+    "index.html", "packages.html", "unstable.html", "tutorial.html", "operating.html", "cli.html", "architecture.html",
     "notebooks/fig12_against_delay.html", "notebooks/experiment_table.html", "repository/examples/index.html",
+    "repository/packages/telenano-lab/docs/gallery.html",
 )  # fmt: skip
 SIZES = ((1280, 800), (390, 844))
 BROKEN = "[...document.images].filter((image) => !image.naturalWidth).map((image) => image.src)"

@@ -1,6 +1,6 @@
 """Errors that are planted into what telenano writes, and the comparison that has to see each of them.
 
-A row of docs/works-with.md counts only if its comparison tells an exchanged axis, a wrong unit and a wrong sign from
+A row of works-with.md counts only if its comparison tells an exchanged axis, a wrong unit and a wrong sign from
 what is right: each test runs with nothing planted, where nothing may differ, and with each error, where something must.
 """
 

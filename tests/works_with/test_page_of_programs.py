@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 HERE = Path(__file__).parent
-PAGE = HERE.parents[1] / "docs" / "works-with.md"
+PAGE = HERE.parents[1] / "packages" / "telenano-bridges" / "docs" / "works-with.md"
 
 
 def test_the_page_states_each_version_that_a_row_installs() -> None:

@@ -132,7 +132,7 @@ def _refusal(path: str, error: BaseException) -> str:
     if number == errno.EACCES:
         return (
             f"{path}: no permission; `sudo usermod -aG dialout $USER` and log in again, or install the udev rule of "
-            "docs/devices.md"
+            "packages/telenano-devices/docs/devices.md"
         )
     if number in (errno.EAGAIN, errno.EBUSY, errno.EWOULDBLOCK):
         holder = holder_of(path)

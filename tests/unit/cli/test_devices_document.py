@@ -13,9 +13,9 @@ from telenano.settings.scenario import LoadedScenario
 ROOT = Path(__file__).parents[3]
 
 
-@pytest.mark.parametrize("page", ["devices", "devices/3-calibrate", "devices/4-first-touch"])
+@pytest.mark.parametrize("page", ["devices", "3-calibrate", "4-first-touch"])
 def test_scenarios_of_the_pages_are_valid(page: str, tmp_path: Path) -> None:
-    text = (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8")
+    text = (ROOT / "packages" / "telenano-devices" / "docs" / f"{page}.md").read_text(encoding="utf-8")
     blocks = [textwrap.dedent(block) for block in re.findall(r"^ *```yaml\n(.*?)```", text, re.MULTILINE | re.DOTALL)]
     scenarios = [block for block in blocks if block.startswith("name:")]
     assert len(scenarios) == 1

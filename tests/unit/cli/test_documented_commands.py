@@ -152,7 +152,9 @@ def test_a_picture_of_the_gallery_is_what_its_command_makes(tmp_path: Path, monk
     (tmp_path / "out").mkdir()
     result = CliRunner().invoke(app, line.words)
     assert result.exit_code == 0, result.output
-    assert differing(tmp_path / picture.origin, ROOT / "docs" / picture.path) < 0.01, "run `make pictures`"
+    assert differing(tmp_path / picture.origin, (ROOT / picture.page).parent / picture.path) < 0.01, (
+        "run `make pictures`"
+    )
 
 
 def link_of(plan: Plan) -> LinkSettings:

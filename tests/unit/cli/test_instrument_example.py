@@ -1,4 +1,4 @@
-"""The worked example of docs/force-curves.md: its commands run as they stand, and print what stands below them."""
+"""The worked example of force-curves.md: its commands run as they stand, and print what stands below them."""
 
 import re
 import shlex
@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from telenano.cli.root import app
 
-PAGE = Path(__file__).parents[3] / "docs" / "force-curves.md"
+PAGE = Path(__file__).parents[3] / "packages" / "telenano-lab" / "docs" / "force-curves.md"
 EXAMPLE = r"This example runs as it is printed.*?```sh\n(.*?)```\s+```text\n(.*?)```"
 
 

@@ -312,7 +312,7 @@ def test_the_next_line_fetches_a_build_backend_only_where_it_is_absent(
 
 
 def test_the_command_beside_a_kind_of_driver_makes_a_package_with_one(tmp_path: Path) -> None:
-    text = (ROOT / "docs" / "fit.md").read_text(encoding="utf-8")
+    text = (ROOT / "packages" / "telenano-devices" / "docs" / "fit.md").read_text(encoding="utf-8")
     rows = re.findall(r"with an? `(\w+Driver)` \| `telenano new ([\w-]+) NAME`", text)
     assert rows
     for driver, kind in rows:

@@ -54,6 +54,9 @@ def test_every_link_between_the_pages_leads_somewhere() -> None:
         *ROOT.glob("*.md"),
         *DOCS.rglob("*.md"),
         *ROOT.glob("*/README.md"),
+        *ROOT.glob("proto/*.md"),
+        *ROOT.glob("packages/*/README.md"),
+        *ROOT.glob("packages/*/docs/*.md"),
         *ROOT.glob("services/*/README.md"),
         *ROOT.glob("telenano/*/README.md"),
     ]

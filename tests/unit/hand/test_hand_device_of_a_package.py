@@ -1,4 +1,4 @@
-"""A simulated hand device of a package outside the tree: that of docs/extending/devices.md, as it stands there."""
+"""A simulated hand device of a package outside the tree: that of own-device.md, as it stands there."""
 
 import re
 from pathlib import Path
@@ -7,7 +7,7 @@ import pytest
 
 from telenano.testing import install_package, said_with
 
-PAGE = (Path(__file__).parents[3] / "docs" / "extending" / "devices.md").read_text("utf-8")
+PAGE = (Path(__file__).parents[3] / "packages/telenano-devices/docs/own-device.md").read_text("utf-8")
 BLOCK = re.search(r"## My simulated hand device.*?```python\n(.*?)```", PAGE, re.DOTALL)
 PROGRAM = """
 import json, my_slide, telenano

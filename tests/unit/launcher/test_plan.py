@@ -102,7 +102,7 @@ def test_a_sample_that_is_too_stiff_for_the_law_is_named(tmp_path: Path) -> None
 def test_a_real_instrument_that_is_too_late_for_its_cantilever_is_named(
     tmp_path: Path, latency_ms: float, stiffness: float, warned: bool
 ) -> None:
-    text = (Path(__file__).parents[3] / "docs" / "devices.md").read_text("utf-8")
+    text = (Path(__file__).parents[3] / "packages" / "telenano-devices" / "docs" / "devices.md").read_text("utf-8")
     (stage,) = (yaml.safe_load(block) for block in re.findall(r"```yaml\n(schema: 1\ninstrument:.*?)```", text, re.S))
     stage["cantilever"]["stiffness_n_per_m"] = stiffness
     (tmp_path / "stage.yaml").write_text(yaml.safe_dump({**stage, "latency_s": 1e-3 * latency_ms}))

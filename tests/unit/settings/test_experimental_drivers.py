@@ -11,7 +11,7 @@ from telenano.sections.hand_section import DRIVERS as HANDLES
 from telenano.settings import TWO_SITES_FILE
 from telenano.settings.device_drivers import Drivers
 
-# No real device has been on the rig yet (docs/trial.md): a driver leaves this table with the recording that shows one.
+# No real device has been on the rig yet (trial.md): a driver leaves this table with the recording that shows one.
 EXPERIMENTAL = {
     "haptic_node": {"serial", "haply", "dhd", "hd"},
     "afm_node": {"modbus", "gwyscope", "nanonis"},

@@ -84,7 +84,7 @@ def test_what_is_declared_is_a_ball_or_the_ends_that_are_given() -> None:
 
 
 def test_the_device_of_the_documents_runs_as_it_stands(monkeypatch: pytest.MonkeyPatch) -> None:
-    page = (Path(__file__).parents[4] / "docs" / "extending" / "devices.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "own-device.md").read_text(encoding="utf-8")
     driver, wire = re.findall(r"```python\n(# my_package/.*?)```", page, re.DOTALL)
     for name, text in (("my_package", driver), ("my_package.wire", wire)):
         module = ModuleType(name)

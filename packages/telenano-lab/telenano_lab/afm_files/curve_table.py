@@ -64,7 +64,7 @@ def curves(
     """Fit a contact to all force curves in files; return a table with a row for each.
 
     Args:
-        files: A file, a folder, or several of them; `docs/fit.md` lists the formats.
+        files: A file, a folder, or several of them; `packages/telenano-devices/docs/fit.md` lists the formats.
         model: hertz, sneddon, dmt or jkr.
         radius_m: Radius of the tip [m], for all models but sneddon.
         half_angle_rad: Half angle of the cone [rad], for sneddon.

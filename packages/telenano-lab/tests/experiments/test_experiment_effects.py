@@ -62,7 +62,7 @@ def test_tracking_without_a_law_against_delay_breaks_down_where_the_loop_does(tm
         for pair in found["pairs"]
         if pair["against"] == 0
     }
-    # docs/experiments/methods.md: stable below 24 and 11.2 ms one way
+    # docs/methods.md: stable below 24 and 11.2 ms one way
     limits = {"20.0": 24.0, "40.0": 11.2}
     assert worse == {(k, delay): delay > limit for k, limit in limits.items() for delay in (7, 14, 21, 28, 42)}
     calm = [cell["mean"] for cell in found["cells"] if cell["delay_ms"] < limits[str(cell["stiffness_n_per_m"])]]

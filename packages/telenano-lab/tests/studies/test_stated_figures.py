@@ -15,8 +15,8 @@ from telenano.sections import LAWS
 
 # the networks of the page: constant, with a little loss, and bad
 NETWORKS: tuple[dict[str, Any], ...] = ({}, {"loss": 0.03}, {"loss": 0.2, "jitter": Jitter(0.5, True)})
-ROOT = Path(__file__).resolve().parents[4]
-STUDIES = "".join((ROOT / "docs" / page).read_text(encoding="utf-8") for page in ("studies.md", "study-results.md"))
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+STUDIES = "".join((DOCS / page).read_text(encoding="utf-8") for page in ("studies.md", "study-results.md"))
 NAMES = {
     "virtual impedance": "virtual_impedance",
     "position–force": "position_force",

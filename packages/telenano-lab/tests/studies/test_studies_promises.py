@@ -152,7 +152,7 @@ def test_a_law_that_promises_passivity_and_makes_energy_is_named() -> None:
     assert broken(outcomes(["position_force"], 5, ending(("diverged", -1.0, 1.0)))) == []
 
 
-DOCUMENT = (Path(__file__).parents[4] / "docs" / "study-results.md").read_text(encoding="utf-8")
+DOCUMENT = (Path(__file__).parents[2] / "docs" / "study-results.md").read_text(encoding="utf-8")
 PRINTED_HANDS: dict[str, Hand] = {"constant force": "force", "arm of 300 N/m": "ordinary", "arm of 1000 N/m": "stiff"}
 
 
