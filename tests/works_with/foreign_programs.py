@@ -24,6 +24,8 @@ _LONGEST_S = 240.0
 # How long a program may take [s].
 _PATIENCE_S = 120.0
 _LIBRARIES = "LD_LIBRARY_PATH"
+# The reason for each folder that could not be installed in this process, which is not tried again for the next test.
+_refused: dict[Path, str] = {}
 
 
 class Program(NamedTuple):
@@ -111,6 +113,8 @@ def _installed(registry: str, packages: Sequence[str], install: Callable[[Path],
     home = os.environ.get("TELENANO_FOREIGN_PROGRAMS")
     cached = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "telenano-foreign-programs"
     folder = (Path(home) if home else cached) / registry / re.sub(r"[^\w.=-]+", "_", "+".join(packages))
+    if folder in _refused:
+        pytest.skip(_refused[folder])
     if not folder.is_dir():
         folder.parent.mkdir(parents=True, exist_ok=True)
         begun = folder.with_name(f"{folder.name}.{os.getpid()}")
@@ -119,6 +123,9 @@ def _installed(registry: str, packages: Sequence[str], install: Callable[[Path],
             install(begun)
             if not folder.is_dir():
                 begun.rename(folder)
+        except pytest.skip.Exception as refused:
+            _refused[folder] = str(refused)
+            raise
         finally:
             shutil.rmtree(begun, ignore_errors=True)
     return folder
