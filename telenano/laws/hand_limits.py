@@ -226,11 +226,14 @@ def let_through(trial: Trial, hand: HandSample) -> HandSample:
 
 @compiled
 def cut(limits: HandLimits, trial: Trial, reference: MasterReference, before_m: float) -> MasterReference:
-    """Return the reference, at rest at the end of the travel where no force of the hand keeps it within the limits."""
-    if trial.side == _WITHIN or trial.over_m <= _NEAR_M:
+    """Return the reference, at rest at the end of the travel where no force of the hand keeps it within the limits.
+
+    The search looks at one side alone: between two ends that are close together it may pass the other one.
+    """
+    if trial.side == _WITHIN:
         return reference
     position = min(max(reference.position_m, min(limits.low_m, before_m)), max(limits.high_m, before_m))
-    if position == reference.position_m:
+    if abs(position - reference.position_m) <= (0.0 if trial.over_m > _NEAR_M else _NEAR_M):
         return reference
     return MasterReference(position, 0.0, reference.force_n, reference.active)
 

@@ -223,6 +223,21 @@ MENDED = {
         ),
         100.0,
     ),
+    "a reference is not led past one end of the travel by the search for the other": Schedule(
+        96200009,
+        "passivity",
+        0.001,
+        0.01,
+        (
+            {"at_s": 3.138, "kind": "law", "law": "four_channel"},
+            {"at_s": 3.679, "kind": "kill", "node": "controller@slave", "after": 0, "torn": 0.0},
+            {"at_s": 3.679, "kind": "delay", "forward_s": 0.01, "backward_s": 0.01},
+        ),
+        250.0,
+        force_limit_n=6e-8,
+        processes="site",
+        session_s=8.5,
+    ),
     "the step in which a stop ends a contact is no step of the contact": Schedule(
         96000050,
         "wave",

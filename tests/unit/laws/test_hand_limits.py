@@ -7,7 +7,7 @@ import pytest
 
 from telenano.extend.laws import NO_SIGNAL, HandSample, MasterReference
 from telenano.extend.virtual_mass import LONGEST_LEAD_M
-from telenano.laws.hand_limits import PASSED_LEAD_M, free, hand_limits, received_within
+from telenano.laws.hand_limits import PASSED_LEAD_M, cut, free, hand_limits, received_within
 from telenano.lockstep.law_rules import RULES
 from telenano.sections.controller_section import OWN_LAWS, ControllerConfig
 
@@ -70,6 +70,17 @@ def test_no_drawn_force_leads_a_law_beyond_its_limits(name: str) -> None:
     assert worst["beyond_m"] <= NEAR_M
     assert worst["fastest"] <= 1.0 + 1e-3
     assert worst["given_j"] <= BOUNCE_J
+
+
+def test_between_two_ends_that_are_close_the_other_one_is_not_passed() -> None:
+    limits = hand_limits(-0.01, 0.0145, 0.03, PERIOD_S, 0.0, passes=True)
+    # The lower end, the lead over the tip, is kept by 2 um more than there are up to the upper one.
+    below = free()._replace(side=-1, over_m=-2e-6)
+    beyond = MasterReference(0.014501583, 5e-4, 2.3, True)
+    assert cut(limits, below, beyond, 0.0144996) == MasterReference(0.0145, 0.0, 2.3, True)
+    assert cut(limits, below, beyond, 0.0146) == beyond, "what is further away already may stay where it is"
+    within = beyond._replace(position_m=0.0144999)
+    assert cut(limits, below, within, 0.0144996) == within
 
 
 @pytest.mark.parametrize("name", OWN_LAWS)
