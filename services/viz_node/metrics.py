@@ -68,7 +68,7 @@ def metrics_text(nodes: Mapping[str, Mapping[str, Any]], now_ns: int, age: Seque
         for share, value in (("0.5", part.p50_s), ("0.99", part.p99_s))
     )
     about = "Age of what the hand feels, by its parts, while a page is open."
-    lines += _family("telenano_loop_age_seconds", "gauge", about, parts)
+    lines += _family("telenano_loop_age_seconds", "summary", about, parts)
     lines += _family("telenano_state", "gauge", "1 at what the node is at, 0 at the others.", states)
     return "\n".join(lines) + "\n"
 

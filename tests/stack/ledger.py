@@ -27,15 +27,9 @@ FAULTS = {
     "kill -9 of delay_node@master, controller@master, haptic_node@master, one process": "tip holds, then withdraws; "
     "restarted together with the motor off",
     "kill -9 of recorder@master": "at most a flush interval is lost, the rig goes on; a second file follows",
-    **{
-        f"each process stopped for 0.2, 1 and 3 s under {law}, link of {link_ms} ms": "as above"
-        if (law, link_ms) != ("virtual_impedance", 0)
-        else "nothing past its deadline of 50 ms is obeyed, the tip does not jump; each process reports it"
-        for law in ("virtual_impedance", "wave", "model_mediated")
-        for link_ms in (0, 150)
-    },
-    "each process, with recorder and page's server, stopped for 0.05, 0.3 and 2 s under wave, link of 20 ms": "as "
-    "above; the tip bears no more than in the swings before",
+    "each process, with recorder and page's server, stopped for 0.05, 0.3 and 2 s under wave, link of 20 ms": "nothing "
+    "past its deadline of 50 ms is obeyed, the tip does not jump, and bears no more than in the swings before; each "
+    "process reports it",
     "a frame of 20 MB at the endpoint of a console": "told by each reader, which connects anew within 2 s; the next "
     "command is obeyed",
     "the recorder is killed in a session": "figure and summary are made of all parts; what is missing is stated",
@@ -123,7 +117,6 @@ FAULTS = {
     "an arm that waited in a stopped AFM": "refused and answered; the tip stays in emergency stop",
     "an arm at a stopped AFM, then an emergency stop": "the arm is void, the tip stays in emergency stop",
     "an AFM stopped for longer than the emergency stop is sent": "in emergency stop when it goes on, before it obeys",
-    "kill -9 of an AFM in emergency stop": "it comes back in emergency stop",
     "an emergency stop while the AFM is being started again without a folder": "it comes back in emergency stop",
     "an arm that waits in the page's server when an emergency stop comes": "given up, also when the page has left; "
     "both devices stay latched",
@@ -140,7 +133,6 @@ FAULTS |= {
     for fault, promise in FAULTS.items()
     if fault.startswith(
         (
-            "each process ",
             "each process, ",
             "the runtime folder ",
             "a second rig ",
@@ -148,7 +140,6 @@ FAULTS |= {
             "an arm that waited in a stopped AFM",
             "an arm at a stopped AFM",
             "an AFM stopped ",
-            "kill -9 of an AFM ",
             "an emergency stop while the AFM ",
             "an emergency stop while a console ",
             "an emergency stop from the page ",

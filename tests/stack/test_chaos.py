@@ -3,14 +3,13 @@
 import json
 import time
 from datetime import datetime, timedelta
-from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
 import pytest
 from ledger import record
-from recovered import RESTARTED, SOON_NS, STATE_OF, Kill, after_restart, coupled, recover
-from stack_rig import BOTH_WAYS, CONSTANT_PUSH, OF_A_SITE, Rig
+from recovered import RESTARTED, SOON_NS, STATE_OF, Kill, coupled, recover
+from stack_rig import BOTH_WAYS, CONSTANT_PUSH, Rig
 
 from telenano.recording.reader import Recording
 
@@ -29,12 +28,6 @@ KILLS = {
 }
 # The recorder is killed in this way.
 OF_NODES = pytest.mark.parametrize("processes", ["node"], indirect=True, scope="module")
-
-
-def of_kills(*cases: tuple[str, tuple[str, ...]]) -> pytest.MarkDecorator:
-    """Have a test for these nodes, of each way in which the nodes of a rig are put into processes."""
-    rows = [pytest.param(way, node, marks=OF_A_SITE if way == "site" else ()) for way, nodes in cases for node in nodes]
-    return pytest.mark.parametrize(("processes", "node"), rows, indirect=["processes"], scope="module")
 
 
 @pytest.fixture(scope="module")
@@ -76,62 +69,9 @@ def states(path: Path, topic: str, first_ns: int, last_ns: int) -> list[Any]:
     return [m.decode() for m in Recording(path).messages([topic]) if first_ns <= m.publish_ns <= last_ns]
 
 
-def modes(path: Path, topic: str, kill: Kill, span_ns: int) -> list[str]:
-    """Give the modes of a device after a kill, each once, in order."""
-    found: list[str] = []
-    for state in states(path, topic, kill.at_ns, kill.at_ns + span_ns):
-        if not found or found[-1] != state.mode:
-            found.append(state.mode)
-    return found
-
-
 def kill_of(wreck: Any, node: str) -> Kill:
     rig, kills = wreck[:2]
     return next(kill for kill in kills if node in rig.mates_of(kill.node))
-
-
-@of_kills(
-    ("node", ("controller@master", "controller@slave", "delay_node@master", "haptic_node@master")),
-    ("site", ("haptic_node@master",)),
-)
-def test_afm_without_commands_holds_then_retracts_and_stays(wreck: Any, node: str) -> None:
-    path = wreck[0].out / "session.mcap"
-    kill = kill_of(wreck, node)
-    seen = modes(path, "afm/state", kill, SOON_NS)
-    after = states(path, "afm/state", kill.at_ns, kill.at_ns + SOON_NS)
-    # A hand that pushes stands at the end of its travel by now, so the base may be where it is withdrawn to already.
-    is_there = after[0].base_position_m[2] >= 99.9e-9
-    assert [mode for mode in seen if mode != "retracting"][:3] == ["follow", "hold", "retracted"], seen
-    assert is_there or seen[2] == "retracting", seen
-    # Until it is withdrawn: where it has been armed again by then, it may hold once more, at another place.
-    until_withdrawn = takewhile(lambda state: not state.mode.startswith("retract"), after)
-    held = [state for state in until_withdrawn if state.mode == "hold"]
-    withdrawn = [state for state in after if state.mode == "retracted"]
-    # it holds where it was, and ends where nothing can be touched; a quick operator may have armed it again by then
-    assert len({state.base_position_m for state in held}) == 1
-    assert withdrawn
-    for state in withdrawn:
-        assert state.base_position_m[2] == pytest.approx(100e-9, rel=1e-6, abs=0.0)
-
-
-@of_kills(
-    ("node", ("controller@master", "controller@slave", "delay_node@master", "afm_node@slave")),
-    ("site", ("controller@slave",)),
-)
-def test_hand_goes_to_zero_force(wreck: Any, node: str) -> None:
-    path = wreck[0].out / "session.mcap"
-    seen = modes(path, "haptic/state", kill_of(wreck, node), SOON_NS)
-    assert seen[:2] == ["position", "off"], seen
-
-
-@BOTH_WAYS
-@pytest.mark.parametrize(("node", "safe"), [("afm_node@slave", "retracted"), ("haptic_node@master", "off")])
-def test_restarted_device_is_safe_until_it_is_armed(wreck: Any, node: str, safe: str) -> None:
-    kill = kill_of(wreck, node)
-    recorded = Recording(wreck[0].out / "session.mcap").messages([STATE_OF[node]])
-    first = after_restart([m for m in recorded if m.publish_ns > kill.at_ns - SOON_NS // 2])
-    assert first is not None
-    assert first.fields()["mode"] == safe
 
 
 @BOTH_WAYS

@@ -1,7 +1,8 @@
-"""An emergency stop is the last word in a real rig: with processes stopped, killed, and arms that waited for them.
+"""An emergency stop is the last word in a real rig: with processes stopped, and arms that waited for them.
 
-The same in every order is in virtual time, in `tests/unit/runtime/test_runtime_estop_orders.py` and
-`tests/simulation`; a stop for an instrument that is being started again is in `test_lost_paths.py`.
+The same in every order, and a device that is killed in its stop, are in virtual time, in
+`tests/unit/runtime/test_runtime_estop_orders.py` and `tests/simulation`; a stop for an instrument that is being started
+again is in `test_lost_paths.py`.
 """
 
 import os
@@ -99,19 +100,4 @@ def test_an_instrument_that_was_stopped_for_longer_than_the_stop_is_sent_comes_b
     assert "follow" not in {state.mode for state in states(rig, begin_ns + 50_000_000)}
     took = f"in emergency stop {(at_ns - begin_ns) / 1e6:.0f} ms after it went on"
     record(f"an AFM stopped for longer than the emergency stop is sent{rig.way}", took)
-    arm(rig)
-
-
-@BOTH_WAYS
-@pytest.mark.endurance
-def test_an_instrument_that_is_killed_in_emergency_stop_comes_back_in_it(pressing_rig: Rig) -> None:
-    rig = pressing_rig
-    rig.telenano("estop")
-    rig.wait_until(lambda: mode(rig) == "estop", "the tip in emergency stop")
-    begin_ns = time.time_ns()
-    rig.kill(TIP)
-    rig.wait_until(lambda: rig.log_has("launcher@master", f"{TIP} was started again"), "the restart")
-    rig.wait_until(lambda: rig.log_has(TIP, "an emergency stop that was kept for this device is in force"), "its word")
-    stays_stopped(rig, begin_ns)
-    record(f"kill -9 of an AFM in emergency stop{rig.way}", "it came back in emergency stop")
     arm(rig)

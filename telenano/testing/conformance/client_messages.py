@@ -92,8 +92,8 @@ class MessageExaminer:
 
     @property
     def has_ended(self) -> bool:
-        """Whether each source has sent its last message, the one that says that it ends."""
-        return all(stream.ended for stream in self._streams.values())
+        """Whether each node has sent its last message, which a console or an emergency stop has none of."""
+        return all(stream.ended for (topic, _), stream in self._streams.items() if topic not in NO_NODES)
 
     def _is_followed(self, topic: str, src: str) -> bool:
         """Return whether a stream is observed; the number of streams is limited."""

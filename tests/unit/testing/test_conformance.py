@@ -395,6 +395,19 @@ def test_a_node_that_falls_silent_after_what_breaks_the_rules_is_named() -> None
     assert answering(node, is_deaf_after=True)["robustness"][0] == "failed"
 
 
+def test_an_emergency_stop_of_a_client_needs_no_last_message_and_its_node_does() -> None:
+    examiner = MessageExaminer(Account())
+    stop = {"src": "estop@master", "seq": 0, "t_ns": NOW_NS}
+    examiner.take(spec_client.write("session/control", **fields_of("session/control", **stop)), NOW_NS)
+    node_of = {"src": "afm_node@slave", "t_ns": NOW_NS}
+    examiner.take(spec_client.write("node/health", **fields_of("node/health", seq=0, **node_of)), NOW_NS)
+    assert not examiner.has_ended
+    data = {"state": "ended", "sent.node/health": 1, "sent.session/event": 1}
+    last = fields_of("session/event", seq=0, kind="node", data=data, **node_of)
+    examiner.take(spec_client.write("session/event", **last), NOW_NS)
+    assert examiner.has_ended
+
+
 # --- over sockets ---
 
 

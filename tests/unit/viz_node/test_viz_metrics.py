@@ -41,7 +41,7 @@ def test_every_figure_of_a_report_is_a_sample() -> None:
 
 def test_each_family_is_described_once_and_a_name_cannot_break_a_line() -> None:
     text = metrics_text({'a"\n\\b': {"state": "ready", "rate_hz": 1.0, "beat": 0}}, 1)
-    heads = re.findall(r"^# TYPE (\S+) (gauge|counter)$", text, re.MULTILINE)
+    heads = re.findall(r"^# TYPE (\S+) (gauge|counter|summary)$", text, re.MULTILINE)
     assert [name for name, _ in heads[: len(NODE_METRICS)]] == [metric.name for metric in NODE_METRICS]
     assert len(heads) == len({name for name, _ in heads}) == text.count("# HELP ")
     assert all(name.endswith("_total") == (kind == "counter") for name, kind in heads)

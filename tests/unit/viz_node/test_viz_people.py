@@ -278,7 +278,7 @@ def test_the_way_to_a_page_and_the_age_of_the_loop_are_told_and_given_to_a_monit
     assert told["whole"] == pytest.approx(0.023, rel=1e-9)
     text = metrics_text({}, 0, [Part("whole", 0.02, 0.023)])
     assert 'telenano_loop_age_seconds{part="whole",quantile="0.99"} 0.023' in text.splitlines()
-    assert "# TYPE telenano_loop_age_seconds gauge" in client.get("/metrics").text
+    assert "# TYPE telenano_loop_age_seconds summary" in client.get("/metrics").text
     # the page had the question for a tenth of a second, which is not of the way
     for _ in range(3):
         stamp_s = page.take("way")["stamp_s"]
