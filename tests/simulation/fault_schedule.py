@@ -326,6 +326,12 @@ def _half_of_another_law(dice: random.Random, at_s: float) -> list[Event]:
     return [*short, {"at_s": at_s, "kind": "law", "law": dice.choice(LAWS)}, {"at_s": later_s, **kill}]
 
 
+def _longer_way(dice: random.Random, _: float) -> list[Event]:
+    """Draw a longer way while the hand goes to the sample: what comes is too old, and would lead a held base on."""
+    there = {"forward_s": dice.choice([0.1, 0.12]), "backward_s": 0.01}
+    return [{"at_s": round(dice.uniform(0.9, 1.25), 3), "kind": "delay", **there}]
+
+
 def _press(dice: random.Random, at_s: float) -> Event:
     site = dice.choice(["master", "master", "slave"])
     target = "afm_node" if site == "slave" else dice.choice(["*", "*", "haptic_node", "afm_node"])
@@ -359,6 +365,7 @@ _GROUPS: dict[str, tuple[float, Callable[[random.Random, float], list[Event]]]] 
     "stop while away": (1.0, _stop_while_away),
     "ended in a stop": (0.8, _ended_in_a_stop),
     "unanswered": (0.8, _unanswered),
+    "longer way": (1.0, _longer_way),
     "law while cut": (0.4, _law_while_cut),
     "answer lost": (0.4, _answer_lost),
     "half of another law": (0.8, _half_of_another_law),
