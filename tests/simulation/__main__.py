@@ -75,10 +75,10 @@ def _replay(path: Path, keep: Path | None) -> int:
 
 
 def _campaign(seed: int, hours: float, out: Path, processes: str | None) -> int:
-    print(f"schedules from the seed {seed}; SIGINT or SIGTERM ends them with their tables", flush=True)
     tally, paths = campaign.Tally([]), dict[str, tuple[Path, Schedule]]()
     is_whole = False
     with contextlib.suppress(KeyboardInterrupt):
+        print(f"schedules from the seed {seed}; SIGINT or SIGTERM ends them with their tables", flush=True)
         for one in campaign.campaign(seed, hours, processes=processes):
             tally.schedules.append(one)
             for found in one.breaks:

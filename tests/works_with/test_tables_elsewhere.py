@@ -6,20 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from foreign_programs import debian_program, python_program
-from planted_errors import Numbers, each_error, judge, planted
+from made_recording import WANTED, recording_in
+from planted_errors import Numbers, each_error, judge
 
-from telenano.recording import FileSettings, RecordingWriter, export_recording
-from telenano.testing import EPOCH_NS, hand_state, numbered
-from telenano.wire import encode
+from telenano.recording import export_recording
+from telenano.testing import EPOCH_NS
 
 pytestmark = pytest.mark.timeout(1800)
-
-COUNT = 7
-# Different in each component and message, of both signs, with digits to the last place of a double.
-POSITION_M = np.array([[1e-3, -2e-3, 3e-3]]) * (1.0 + np.arange(COUNT)[:, None] / 3.0)
-FORCE_N = np.array([[-0.1, 0.7, 1.3]]) / (1.0 + np.arange(COUNT)[:, None])
-# Only one of the messages has an energy.
-ENERGY_J = np.where(np.arange(COUNT) == 3, 1.0 / 3.0, np.nan)
 
 DUCKDB = """
 import duckdb, json, sys
@@ -78,29 +71,9 @@ show("energy", as.numeric(forward$energy_j))
 
 
 def exported(folder: Path, kind: str, error: str) -> tuple[Path, Path]:
-    """Record messages of the hand and of a law, and return the files of their tables."""
-    writer = RecordingWriter.create("recorder@master", FileSettings(directory=folder))
-    hand = writer.channel("haptic/state", "haptic_node@master", "master")
-    forward = writer.channel("teleop/forward", "controller@master", "master")
-    position_m, force_n = planted(error, POSITION_M), planted(error, FORCE_N)
-    for seq in range(COUNT):
-        state = hand_state(seq, position_m=tuple(position_m[seq]), operator_force_n=tuple(force_n[seq]))
-        writer.write(hand, state.t_ns, state.t_ns, seq, encode(state))
-        energy_j = None if np.isnan(ENERGY_J[seq]) else float(ENERGY_J[seq])
-        sent = numbered("teleop/forward", seq, src="controller@master", energy_j=energy_j)
-        writer.write(forward, sent.t_ns, sent.t_ns, seq, encode(sent))
-    writer.finish()
-    export_recording(writer.path, folder / kind, kind)
+    """Return the files of the tables of a recording."""
+    export_recording(recording_in(folder, error), folder / kind, kind)
     return folder / kind / f"haptic_state.{kind}", folder / kind / f"teleop_forward.{kind}"
-
-
-WANTED: Numbers = {
-    "position": POSITION_M,
-    "force": FORCE_N,
-    "limited": np.arange(COUNT) % 2,
-    "late_ns": np.arange(COUNT) * 1_000_000,
-    "energy": ENERGY_J,
-}
 
 
 def shown(printed: str) -> Numbers:
