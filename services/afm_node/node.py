@@ -1,4 +1,8 @@
-"""The AFM node: steps on each command, or on its own clock if none comes, and guards the tip."""
+"""The AFM node: steps on each command, or on its own clock if none comes, and guards the tip.
+
+A command comes from `services/controller/slave_half.py` and passes `telenano/afm/safety.py` before the driver gets it.
+What the instrument then did and measured goes back to the slave half as afm/state.
+"""
 
 import contextlib
 import math

@@ -1,4 +1,8 @@
-"""The half of a law at the operator's site, as a node that runs when messages arrive."""
+"""The half of a law at the operator's site, as a node that runs when messages arrive.
+
+A sample comes from `services/haptic_node/node.py`. `telenano/laws/integration.py` decides when the law steps, and the
+signal goes to `services/delay_node/node.py`; the answer comes back from there, and its command goes to the hand.
+"""
 
 import math
 from typing import Any, cast

@@ -1,4 +1,8 @@
-"""The half of a law at the instrument's site, as a node that runs when messages arrive."""
+"""The half of a law at the instrument's site, as a node that runs when messages arrive.
+
+A signal comes from `services/delay_node/node.py`, and its command goes to `services/afm_node/node.py`. The measurement
+that the instrument returns goes back to the delay node.
+"""
 
 import math
 from typing import Any, Literal, NamedTuple, cast

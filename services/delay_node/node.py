@@ -1,4 +1,8 @@
-"""The node of the link: the only path between the sites of a rig, with the set impairments in each direction."""
+"""The node of the link: the only path between the sites of a rig, with the set impairments in each direction.
+
+A signal comes from one half of the law. `telenano/link/engine.py` decides its fate, and it goes to the half at the
+other site: from the hand to `services/controller/slave_half.py`, and back to `master_half.py`.
+"""
 
 from collections.abc import Callable, Sequence
 from functools import partial

@@ -1,4 +1,8 @@
-"""The haptic node: sets the pace of the rig, samples the operator's device, and guards it."""
+"""The haptic node: sets the pace of the rig, samples the operator's device, and guards it.
+
+A sample of the hand begins here. It goes as haptic/state to `services/controller/master_half.py`, and the command that
+answers it passes `telenano/hand/safety.py` before the device gets it.
+"""
 
 import math
 from collections.abc import Mapping

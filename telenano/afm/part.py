@@ -1,5 +1,8 @@
 """Parts of a simulated instrument, each a pure step with parameters, a state and inputs.
 
+The base comes from the guard, `telenano/afm/safety.py`. The force that a part returns goes back by way of the AFM node,
+the slave half, the link and the master half to the hand, where `telenano/hand/safety.py` receives the command.
+
     step(params, state, inputs, dt) -> (state, AfmSample)
 
 The class of the parameters selects the part. Parts contain each other: a disturbed instrument has a tip over a surface,

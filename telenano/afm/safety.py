@@ -1,5 +1,8 @@
 """Safety chain of the AFM: limits the base position sent to any driver, whatever the controller commands.
 
+A command comes from `services/afm_node/node.py`, and the base position that the chain permits goes to the driver, which
+is a part of `telenano/afm/part.py` where the instrument is simulated.
+
 Modes: RETRACTED (safe state, where a node starts), FOLLOW, HOLD, RETRACTING, ESTOP. A tick is decided in this order:
 
 1. E-stop pressed: ESTOP from every mode. The base retracts; the mode remains after the release, until armed.

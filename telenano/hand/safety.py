@@ -1,5 +1,8 @@
 """The guard between any command and any haptic driver: deadline, limits, latched e-stop.
 
+A command comes from `services/haptic_node/node.py`, after its way through both halves, and what is permitted of it goes
+to the driver, which steps `telenano/hand/step.py` where the hand is simulated.
+
 The guard decides from the command, its age and the present position alone, so that it is the same for a simulated and
 a real device. It never trusts the controller: the driver gets only commands that have passed the guard.
 

@@ -1,5 +1,8 @@
 """The haptic site in one step: guard, then device, then hand.
 
+The way of a sample ends here: the command comes from `telenano/hand/safety.py`, and the motion of the hand is the next
+sample of `services/haptic_node/node.py`.
+
 The simulated driver runs `plant_step` behind the node's own guard; `step` is the whole chain for lockstep studies.
 Both use the same functions, so a study and a rig cannot differ.
 """

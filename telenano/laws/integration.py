@@ -1,5 +1,8 @@
 """Timing of both halves of a law: when each steps, by how many periods, and when it answers, as pure state machines.
 
+Both halves of `services/controller` ask it with each message. On the way of a sample its decision comes before the step
+of the law, such as `telenano/laws/virtual_impedance.py`.
+
 The controller nodes (`services.controller`) and the lockstep simulation (`telenano.lockstep.lockstep`) feed them the
 same events and carry out their decisions, so that both have the same timing. The laws take the steps; the machines know
 no force and no position.

@@ -1,5 +1,8 @@
 """The paper's law: a virtual impedance between hand and tip (Fig. 11, Eq. 15-17, erratum E8).
 
+The master half steps it after the decision of `telenano/laws/integration.py`, and sends the reference that it gives to
+`services/delay_node/node.py`.
+
     M_v x'' + B_v x' + K_v x = K_f (F_m - alpha_f F_s) - alpha_f F_s,   x_mr = x,   x_sr = alpha_p x
 
 The master half holds the impedance; the slave half passes the reference on and sends the force back. With K_v = 0 the

@@ -1,4 +1,8 @@
-"""The impairment engine of the link: both directions under one set of settings."""
+"""The impairment engine of the link: both directions under one set of settings.
+
+`services/delay_node/node.py` gives it each message of the loop and asks it for those that are due. `direction.py` has
+the stages that a message passes before it goes to `services/controller/slave_half.py`, or back.
+"""
 
 from pathlib import Path
 from typing import Any, NamedTuple

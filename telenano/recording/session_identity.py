@@ -1,7 +1,7 @@
 """Identity of the session of a recording, by which every command that joins files decides whether they belong together.
 
 A recorder writes the metadata record `session` at the start of each file: the rig, its start time, the digest of the
-scenario, and the names that distinguish sessions (docs/whole-recordings.md has the rule as a table).
+scenario, and the names that distinguish sessions (docs/recording.md has the rule as a table).
 """
 
 import hashlib

@@ -1,5 +1,7 @@
-"""The drawing of the rooms in docs/architecture.md is the order that import-linter holds."""
+"""The rooms in docs/architecture.md are in the order of import-linter, its twelve files in that of a sample."""
 
+import ast
+import re
 import tomllib
 from pathlib import Path
 
@@ -14,3 +16,12 @@ def test_the_drawing_has_every_room_in_the_order_of_imports() -> None:
     contracts = project["tool"]["importlinter"]["contracts"]
     (held,) = (contract["layers"] for contract in contracts if contract.get("containers") == ["telenano"])
     assert drawn == [line.split(" | ") for line in held if line != "__main__"]
+
+
+def test_the_head_of_each_of_the_twelve_files_names_the_next_one() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    files = re.findall(r"^\| \d+ \| `([^`]+)` \|", page.partition("## Twelve files")[2], re.MULTILINE)
+    assert len(files) == 12
+    for this, following in zip(files, [*files[1:], files[0]], strict=True):
+        head = ast.get_docstring(ast.parse((ROOT / this).read_text(encoding="utf-8"))) or ""
+        assert f"`{following}`" in head, (this, following)

@@ -20,7 +20,7 @@ def test_the_page_has_a_test_with_each_part_of_the_kit() -> None:
 
 
 @pytest.mark.check("records sessions and starts a rig of processes")
-@pytest.mark.drawn(0.27, "telenano/testing/", "docs/extending/", "telenano/runtime/")
+@pytest.mark.drawn(0.27, "telenano/testing/", "telenano/runtime/")
 @pytest.mark.parametrize("name", BLOCKS)
 def test_each_test_of_the_page_passes(name: str, tmp_path: Path) -> None:
     (tmp_path / "test_my_package.py").write_text(BLOCKS[name], encoding="utf-8")

@@ -22,7 +22,7 @@ from telenano_lab.studies.pages.gallery import FOLDER, fragment_of
 ROOT = Path(__file__).resolve().parents[2]
 # Documents outside docs/ to which its pages link, without packages that `telenano new` made here.
 _FOLDERS = ("", "services/", "telenano/", "packages/", "packages/telenano-devices/telenano_devices/handle/firmware/")
-_BESIDE = ("*.md", *(f"{at}*/README.md" for at in _FOLDERS), "proto/*.md", "packages/*/docs/*.md")
+_BESIDE = ("*.md", *(f"{at}*/README.md" for at in _FOLDERS), "proto/*.md", "packages/*/*.md", "packages/*/docs/*.md")
 _OTHERS = {
     str(path.relative_to(ROOT)): path
     for pattern in _BESIDE

@@ -1,4 +1,4 @@
-"""Which files are read as one session: the table of docs/whole-recordings.md, over each command that reads several."""
+"""Which files are read as one session: the table of docs/recording.md, over each command that reads several."""
 
 import socket
 from collections.abc import Callable, Iterator, Mapping
