@@ -68,6 +68,16 @@ class Following:
         later = received[bisect_left(received, since_ns, key=lambda message: message.log_ns) :]
         return [message for message in later if message.publish_ns >= since_ns]
 
+    def newest(self, channel_topic: str) -> RecordedMessage | None:
+        """Give the newest message of a channel, and leave those before it: a rig that has run for long has many."""
+        found = self._received.get(channel_topic, [])[-1:]
+        for number, channel in self._channels.items():
+            if channel.channel_topic == channel_topic:
+                for chunk, index in self._waiting.get(number, [])[-1:]:
+                    _, offset = _INDEX_ENTRY.unpack_from(index, len(index) - _INDEX_ENTRY.size)
+                    found.append(_message(_content(chunk), offset, channel))
+        return max(found, key=lambda message: message.log_ns, default=None)
+
     def _enter_index(self, body: bytes) -> None:
         number, size = _INDEX_HEAD.unpack_from(body)
         if number not in self._channels:

@@ -190,13 +190,15 @@ class Rig(LiveRig):
 
     def newest(self, topic: str) -> Any:
         """Give the newest message of a topic in the recording, once there is one: a recorder may be behind."""
-        self.wait_until(lambda: bool(self.recording().messages(topic)), f"{topic} in the recording")
-        return self.recording().messages(topic)[-1].decode()
+        self.wait_until(lambda: self.recording().newest(topic) is not None, f"{topic} in the recording")
+        newest = self.recording().newest(topic)
+        assert newest is not None
+        return newest.decode()
 
     def session_s(self) -> float:
         """Give how long the operator's force profile has run, by the newest state of the hand in the recording."""
-        states = self.recording().messages("haptic/state")
-        return float(states[-1].fields()["session_s"]) if states else -1.0
+        newest = self.recording().newest("haptic/state")
+        return -1.0 if newest is None else float(newest.fields()["session_s"])
 
 
 def first_of_the_session(recordings: Sequence[Path]) -> tuple[Any, Any]:
