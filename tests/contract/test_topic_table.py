@@ -133,7 +133,7 @@ def test_the_specification_has_the_table_the_limits_and_the_reasons() -> None:
     assert topic_table() in SPEC
     assert range_table() in SPEC
     plain = "".join(SPEC.split())
-    for limit in (f"{MAX_MESSAGE_BYTES}bytesamessage", f"{MAX_KEYS}keysinamap"):
+    for limit in (f"{MAX_MESSAGE_BYTES}bytesinamessage", f"{MAX_KEYS}keysinamap"):
         assert limit in plain, limit
     for reason in typing.get_args(Reason):
         assert f"`{reason}`" in SPEC, reason

@@ -206,16 +206,10 @@ def test_containers_are_the_nodes_of_the_rig() -> None:
     assert {site_of(node) for node in slave.values()} == {"slave"}
 
 
-def test_a_container_runs_the_image_of_its_node() -> None:
-    for name, service in declared(COMPOSE[0]).items():
-        image = name_of(nodes_of(COMPOSE[0])[name])
-        assert service["build"]["args"]["SERVICE"] == image
-        assert service["image"] == f"telenano-{image}"
-
-
-def test_the_makefile_has_an_image_for_each_node() -> None:
+def test_the_containers_of_all_nodes_run_the_image_of_the_rig() -> None:
     images = {image.partition(":")[0] for image in makefile_words("IMAGES")}
-    assert images == {*SERVICES, "session", "study"}
+    assert images == {"rig", "study"}
+    assert {service["image"] for service in declared(COMPOSE[0]).values()} == {"telenano-rig"}
 
 
 def test_the_benchmark_of_containers_starts_every_node() -> None:
