@@ -291,11 +291,16 @@ def _built_before(node: str) -> int:
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_a_campaign_that_is_ended_prints_its_tables(tmp_path: Path, number: signal.Signals) -> None:
     command = [sys.executable, "-m", "tests.simulation", "--hours", "10", "--out", str(tmp_path)]
-    process = children.start(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
-    assert process.stdout is not None
-    first = process.stdout.readline()
-    process.send_signal(number)
-    said, _ = process.communicate(timeout=60)
+    # Background processes of a shell ignore this signal, and so do their children.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    with children.start(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            first = process.stdout.readline()
+            process.send_signal(number)
+            said, _ = process.communicate(timeout=60)
+        finally:
+            process.kill()
     assert first.startswith("schedules from the seed 1;")
     assert {line.partition(" ")[0] for line in said.splitlines()} >= set(INVARIANTS)
     assert all(situation in said for situation in SITUATIONS)

@@ -36,6 +36,7 @@ def runtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     # a socket's path is short by law, pytest's folders are not
     with tempfile.TemporaryDirectory(prefix="tnv-") as folder:
         monkeypatch.setenv("TELENANO_RUNTIME_DIR", folder)
+        monkeypatch.delenv("TELENANO_RIG", raising=False)
         yield Path(folder)
 
 
