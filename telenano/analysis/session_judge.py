@@ -241,9 +241,14 @@ def _completeness(sent: Mapping[str, int], duration_s: float, loop_rate_hz: floa
     return shares
 
 
+def last_with_ratio(holds: Sequence[Hold]) -> Hold | None:
+    """Return the last hold that has a ratio of the forces; None without one."""
+    return next((hold for hold in reversed(holds) if hold.hold_ratio is not None), None)
+
+
 def _hold_ratios(session: Session, holds: Sequence[Hold]) -> Series:
     """Return F_m/(alpha_f F_s) of each sample at rest in the last hold with such a ratio; empty without one."""
-    own = next((hold for hold in reversed(holds) if hold.hold_ratio is not None), None)
+    own = last_with_ratio(holds)
     if own is None:
         return np.empty(0)
     series = session.series()

@@ -201,7 +201,7 @@ def run_sweep(
     kept: Kept,
     settings: Mapping[str, str],
     *,
-    jobs: int = 1,
+    jobs: int | None = 1,
     quiet: bool = False,
     name: str = "up",
 ) -> list[Path]:
@@ -230,7 +230,7 @@ def run_sweep(
 
 def run_children(
     commands: Mapping[str, Sequence[str]],
-    jobs: int,
+    jobs: int | None,
     note: Callable[[str, bool], None] = lambda name, done: None,
     *,
     what: str,
@@ -242,7 +242,7 @@ def run_children(
 
     Args:
         commands: The commands by the name of what each works on.
-        jobs: The number of them at a time.
+        jobs: The number of them at a time, None for one a processor.
         note: Called with a name, and False at the begin of its command or True at its end.
         what: A word for what each works on, in the progress and in errors.
         quiet: Whether to show no progress.
@@ -271,7 +271,7 @@ def run_children(
 
     with (
         progress(f"{what}s", len(commands), shown=not quiet, counted=True) as show,
-        ThreadPoolExecutor(max(1, min(jobs, len(commands)))) as pool,
+        ThreadPoolExecutor(max(1, min(jobs or len(children.permitted()), len(commands)))) as pool,
     ):
         futures: list[Future[None]] = []
         try:

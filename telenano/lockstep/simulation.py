@@ -306,7 +306,7 @@ class SimulatedSession(Session):
         from telenano.analysis import session_judge as judge
 
         conditions, time_s, tip_n = self.conditions, self["time_s"], self["tip_force_n"]
-        last = time_s >= time_s[-1] - judge.RELEASE_WINDOW_S
+        last, own = time_s >= time_s[-1] - judge.RELEASE_WINDOW_S, judge.last_with_ratio(self.holds)
         found: dict[str, Any] = finite(
             {
                 "scenario": conditions.scenario,
@@ -318,9 +318,7 @@ class SimulatedSession(Session):
                 "link_seed": conditions.link_seed,
                 "instrument": conditions.instrument,
                 **judge.verdict_figures(self.verdict, self.reason),
-                "hold_ratio": next(
-                    (each.hold_ratio for each in reversed(self.holds) if each.hold_ratio is not None), None
-                ),
+                "hold_ratio": None if own is None else own.hold_ratio,
                 "felt_stiffness": judge.felt_figures(self.felt_stiffness),
                 "contact_x_cm": judge.mean_of(100.0 * self["reference_m"][last]),
                 "release_force_nn": judge.rounded_nn(judge.mean_of(1e9 * tip_n[last])),

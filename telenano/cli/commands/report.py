@@ -14,7 +14,6 @@ from telenano.cli.options import FormatOption, JobsOption, JsonOption, SameSessi
 from telenano.cli.output import fail_incomplete, fail_with_summary, print_answer, print_summary, report_errors
 from telenano.cli.sweep import run_children
 from telenano.recording.session_folder import recordings_of
-from telenano.signals.children import permitted
 from telenano.wire.errors import ConfigError, NoRecordingError, ReportError
 
 
@@ -47,7 +46,7 @@ def report(
     with report_errors(as_json):
         folders = [] if out or same_session else _folders_of(files)
         if folders:
-            _report_each(folders, formats, style, jobs or len(permitted()), as_json=as_json)
+            _report_each(folders, formats, style, jobs, as_json=as_json)
             return
         out = out or _own_folder(files)
         files = [file for path in files for file in recordings_of(path)]
@@ -72,7 +71,7 @@ def _folders_of(paths: Sequence[Path]) -> list[Path]:
     return found if len(found) > 1 or found != list(paths) else []
 
 
-def _report_each(folders: Sequence[Path], formats: str, style: str, jobs: int, *, as_json: bool) -> None:
+def _report_each(folders: Sequence[Path], formats: str, style: str, jobs: int | None, *, as_json: bool) -> None:
     """Write the report of each session, by a command of its own, and print a row for each."""
     own = ["--format", formats, "--style", style, "--json"]
     commands = {str(folder): [sys.executable, "-m", "telenano", "report", str(folder), *own] for folder in folders}

@@ -40,7 +40,6 @@ from telenano.launcher.run import Outcome, default_folder, report_of, reserved_f
 from telenano.settings.config import permit_code
 from telenano.settings.plugins import known_problems
 from telenano.settings.scenario import SEEDS
-from telenano.signals.children import permitted
 from telenano.virtual.request import SimulateRequest, plan_of, run_plan
 from telenano.wire.errors import ConfigError, ReportError
 
@@ -95,7 +94,7 @@ def simulate(
         repeated = [] if seeds is None else [f"{SEED}={','.join(map(str, range(seeds)))}"]
         if sweep or repeated:
             values = [*(sweep or ()), *repeated]
-            _sweep(values, request, options, table, jobs=jobs or len(permitted()), quiet=quiet, as_json=as_json)
+            _sweep(values, request, options, table, jobs=jobs, quiet=quiet, as_json=as_json)
             return
         view = LineView(console(), quiet=quiet or as_json)
         if request.out is not None:
@@ -137,7 +136,7 @@ def _sweep(
     options: FigureOptions,
     tables: str,
     *,
-    jobs: int,
+    jobs: int | None,
     quiet: bool,
     as_json: bool,
 ) -> None:

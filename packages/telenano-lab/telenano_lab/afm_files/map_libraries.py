@@ -58,9 +58,8 @@ def _plain(value: Any) -> Any:
 
 
 _NO_CURVES = (
-    "holds no force curves of the kinds that are known with this ending; "
-    "packages/telenano-devices/docs/fit.md (My file) has what is read of "
-    "each maker: export it as one of these"
+    "holds no force curves of the kinds that are known with this ending; packages/telenano-devices/docs/fit.md "
+    "(My file) has what is read of each maker: export it as one of these"
 )
 
 
