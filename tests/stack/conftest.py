@@ -24,7 +24,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> Iterator[None]:
     for item in items:
         if Path(__file__).parent in item.path.parents:
             item.add_marker(pytest.mark.stack)
-            of_make_test = "shared_rig" in getattr(item, "fixturenames", ()) and not shares_processes(item)
+            of_make_test = has_shared_rig(item) and not shares_processes(item)
             if not of_make_test and item.get_closest_marker("endurance") is None:
                 item.add_marker(pytest.mark.check)
     written = [item for item in items if way_of(item)]
@@ -34,9 +34,21 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> Iterator[None]:
     left = set(items)
     in_order = iter([item for item in written if item in left])
     items[:] = [next(in_order) if way_of(item) else item for item in items]
-    # The tests of one way come before those of the other, because a way keeps its rig for all of them; those that end
-    # the shared rig come last, because they judge the state that all others left.
-    items.sort(key=lambda item: (shares_processes(item), item.get_closest_marker("ends_shared_rig") is not None))
+    # The shared rig runs from its first test to the end, so its tests come after those with rigs of their own: two rigs
+    # have not room on two processors. The tests of one way come before those of the other, because a way keeps its rig
+    # for all of them; those that end the shared rig come last, because they judge the state that all others left.
+    items.sort(
+        key=lambda item: (
+            has_shared_rig(item),
+            shares_processes(item),
+            item.get_closest_marker("ends_shared_rig") is not None,
+        )
+    )
+
+
+def has_shared_rig(item: pytest.Item) -> bool:
+    """Return whether a test runs on the rig that many tests share."""
+    return "shared_rig" in getattr(item, "fixturenames", ())
 
 
 def way_of(item: pytest.Item) -> str:

@@ -32,4 +32,6 @@ def test_a_worker_that_dies_ends_the_run_with_its_test_and_its_signal(tmp_path: 
     )
     assert done.returncode == 1, done.stdout
     assert "ended with SIGKILL" in done.stdout
-    assert done.stdout.count("crashed while running 'test_dies.py::test_ends'") == 1
+    # Tried once: no worker took the place of the one that died.
+    assert "crashed while running 'test_dies.py::test_ends'" in done.stdout
+    assert "= 1 failed in " in done.stdout
