@@ -32,6 +32,6 @@ def test_a_worker_that_dies_ends_the_run_with_its_test_and_its_signal(tmp_path: 
     )
     assert done.returncode == 1, done.stdout
     assert "ended with SIGKILL" in done.stdout
-    # Tried once: no worker took the place of the one that died.
+    # The test ran once, because no worker took the place of the one that died: each that did would fail in it, too.
     assert "crashed while running 'test_dies.py::test_ends'" in done.stdout
     assert "= 1 failed in " in done.stdout
