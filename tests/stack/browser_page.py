@@ -81,12 +81,15 @@ def keep(picture: bytes, path: Path) -> None:
 class View:
     """A `telenano view` and its addresses."""
 
-    def __init__(self, environment: dict[str, str], *arguments: str) -> None:
-        command = [sys.executable, "-m", "telenano", "view", "--port", "0", *arguments]
+    def __init__(self, environment: dict[str, str], *arguments: str, port: str = "0") -> None:
+        command = [sys.executable, "-m", "telenano", "view", "--port", port, *arguments]
         self._process = subprocess.Popen(command, env=environment, cwd=ROOT, stdout=subprocess.PIPE, text=True)
         assert self._process.stdout is not None
         # the addresses end with tokens, which are not written to a pipe
         lines = [self._process.stdout.readline() for _ in range(2)]
+        if not lines[1]:
+            self.close()
+            pytest.fail(f"the server of the page gave no address; it ended with {self._process.returncode}")
         file = Path(lines[1].split()[-1])
         self.operator, self.observer, self.participant = (line.split()[1] for line in file.read_text().splitlines())
 

@@ -140,7 +140,7 @@ def test_pages_that_are_not_admitted_say_what_to_do_and_a_lost_server_is_found_a
             view.close()
         with step("the server is back"):
             port = view.operator.partition("/#")[0].rpartition(":")[2]
-            view = View(environment, "--port", port, recording)
+            view = View(environment, recording, port=port)
             until(lambda: "REPLAY" in page.banners(), "a page that is connected again")
             assert "DISCONNECTED" not in page.banners()
             page.until(f"{FILLED} > 0", "what the server sends")
