@@ -7,6 +7,7 @@ and marks say which cases run when.
 import gc
 import sys
 import zlib
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from restored_process import process_restored, process_restored_after_a_file
 __all__ = ["process_restored", "process_restored_after_a_file", "pytest_testnodedown"]
 
 ROOT = Path(__file__).parent
+STACK = ROOT / "tests" / "stack"
 # When a test of `make endurance` is ended that names no time of its own [s]; `make test` and `make check` have the
 # limit of pyproject.toml, which several of those tests need for their work.
 ENDURANCE_S = 3600
@@ -35,9 +37,9 @@ settings.load_profile("telenano")
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Leave the cases of a grid to `make check` but for one, and what is not drawn of many cases to `make endurance`.
+    """Leave three quarters of many cases to `make check`, and what is not drawn of many slow ones to `make endurance`.
 
-    A case is drawn by its name, so that each run has the same ones and a new case moves no other.
+    A case is drawn by its name, so that each run has the same ones. `make test` has all cases of a changed file.
     """
     for item in items:
         if item.get_closest_marker("endurance") and item.get_closest_marker("timeout") is None:
@@ -49,6 +51,25 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         drawn = item.get_closest_marker("drawn") if item.get_closest_marker("check") else None
         if drawn and zlib.crc32(item.name.encode()) >= drawn.args[0] * 2**32 and not touches(*_places(item, drawn)):
             item.add_marker(pytest.mark.endurance(f"{drawn.args[0]:.0%} of the cases stand for all"))
+    _leave_three_quarters(items)
+
+
+def _leave_three_quarters(items: list[pytest.Item]) -> None:
+    """Mark for `make check` all but the first quarter, by the digests of their names, of a test's four or more cases.
+
+    The cases of a rig of processes belong together, and `tests/stack` says itself which of them are in `make test`.
+    """
+    cases = defaultdict[tuple[Path, str], list[pytest.Item]](list)
+    for item in items:
+        later = item.get_closest_marker("check") or item.get_closest_marker("endurance")
+        if hasattr(item, "callspec") and not later and STACK not in item.path.parents:
+            cases[item.path, item.nodeid.partition("[")[0]].append(item)
+    for (path, _), many in cases.items():
+        if len(many) < 4 or touches(path.relative_to(ROOT).as_posix()):
+            continue
+        many.sort(key=lambda item: zlib.crc32(item.name.encode()))
+        for item in many[(len(many) + 3) // 4 :]:
+            item.add_marker(pytest.mark.check("a quarter of the cases stands for all"))
 
 
 def _places(item: pytest.Item, drawn: pytest.Mark) -> tuple[str, ...]:

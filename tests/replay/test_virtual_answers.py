@@ -129,6 +129,7 @@ def test_a_restarted_half_takes_no_answer_of_before_for_a_fresh_one() -> None:
         rig.close()
 
 
+@pytest.mark.check("takes 2 s")
 def test_answers_in_another_law_are_none() -> None:
     """Change the law of the instrument's half alone: the hand feels nothing, and moves no tip."""
     rig = Session(0.02)

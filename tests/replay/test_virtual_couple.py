@@ -104,6 +104,7 @@ def parted(law: str, folder: Path | None) -> VirtualRig:
 LAWS = ("virtual_impedance", "position_force", "wave", "passivity", "model_mediated", "smith")
 
 
+@pytest.mark.check("takes 2 s")
 @pytest.mark.parametrize(
     "law", [law if law == "passivity" else pytest.param(law, marks=pytest.mark.endurance) for law in LAWS]
 )

@@ -34,6 +34,7 @@ def pushed_on_nodes() -> Pushed:
     return push_by_hand((), *SHORT)
 
 
+@pytest.mark.check("takes 10 s")
 def test_a_hand_pushes_a_particle_and_feels_it(pushed_on_nodes: Pushed) -> None:
     found = pushed_on_nodes
     assert found.mode == "follow"

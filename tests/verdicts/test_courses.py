@@ -306,6 +306,7 @@ def test_every_kind_of_nonlinear_course_has_each_of_its_truths() -> None:
         assert len([tag for tag in one.tags if tag.startswith("no_truth:")]) == (one.truth == "no_truth")
 
 
+@pytest.mark.check("takes 1 s")
 def test_what_is_at_rest_stands_still_and_what_goes_on_moves_in_the_last_eighth() -> None:
     """Of courses without noise, creep or air between: from peak to peak, beside the hand's force."""
     tried = Counter[str]()

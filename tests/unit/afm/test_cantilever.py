@@ -90,6 +90,7 @@ def slow_walk(p, state, base_m, step_m=2e-13):
     raise AssertionError("the walk did not end")
 
 
+@pytest.mark.check("walks slowly")
 @pytest.mark.parametrize(("k", "soft"), [(40.0, False), (8.0, False), (2.0, False), (2.0, True)])
 def test_agrees_with_a_slow_walk_along_the_net_force(k, soft):
     p = plant(k, modulus_pa=1.5e9 if soft else None)

@@ -49,6 +49,7 @@ def test_free_amplitude_and_phase_are_those_of_the_resonance_curve(detuning):
     assert phase == pytest.approx(-math.atan2(expected.imag, expected.real), rel=0, abs=1e-3)
 
 
+@pytest.mark.check("takes 4 s")
 def test_ring_down_gives_q():
     dynamic = CONFIG.to_dynamic()
     state = DynamicState(10e-9, 0.0, FAR_M, 0.0, 0.0, False, False, 0)

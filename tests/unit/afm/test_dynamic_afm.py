@@ -81,6 +81,7 @@ class Tapper:
         raise AssertionError("waited in vain")
 
 
+@pytest.mark.check("takes 5 s")
 def test_in_contact_the_dynamic_cantilever_goes_where_the_quasi_static_one_goes() -> None:
     section = {"model": "dynamic"}
     config = AfmConfig.model_validate(section)

@@ -190,6 +190,7 @@ def test_what_happened_outside_the_session_does_not_count(recording: Recording) 
     assert title(before) == "wave, link lte"
 
 
+@pytest.mark.check("takes 2 s")
 def test_a_session_states_its_round_trip_and_versions(recording_of: Callable[[str], Path]) -> None:
     found = Session.of(Recording(recording_of("wave"))).conditions
     # 4 ms each way, and what the loop itself takes, in whole periods

@@ -57,6 +57,7 @@ def test_a_wave_that_is_longer_than_the_window_makes_the_interval_wide(window_s:
     assert inside >= 0.75 * known
 
 
+@pytest.mark.check("takes 1 s")
 def test_the_interval_of_white_noise_is_that_of_student_or_somewhat_wider() -> None:
     rows = RECORDS["white"](np.random.default_rng(2), 20, 300)
     halves = [half for row in rows if (half := mean_half_width(row)) is not None]

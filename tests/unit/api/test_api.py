@@ -78,6 +78,7 @@ def test_what_simulate_cannot_take_is_said_in_its_own_words() -> None:
         telenano.simulate(delay=40.0)  # type: ignore[call-arg]
 
 
+@pytest.mark.check("takes 2 s")
 def test_a_value_that_is_not_there_is_nan(
     session: telenano.RecordedSession, recording_of: Callable[[str], Path]
 ) -> None:

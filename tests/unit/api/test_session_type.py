@@ -107,6 +107,7 @@ def test_a_notebook_shows_verdict_and_holds_in_few_lines(sessions: dict[str, tel
     assert sessions[kind].verdict.replace("_", " ") in shown and sessions[kind].conditions.law in shown
 
 
+@pytest.mark.check("takes 2 s")
 def test_many_holds_are_counted_and_not_listed(
     sessions: dict[str, telenano.Session], monkeypatch: pytest.MonkeyPatch
 ) -> None:

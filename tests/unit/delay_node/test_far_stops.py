@@ -364,6 +364,7 @@ def test_a_state_whose_stop_is_another_command_is_refused(command: str) -> None:
 QUIET = [HealthCheck.too_slow, HealthCheck.data_too_large]
 
 
+@pytest.mark.check("sixty drawn networks take 5 s")
 @settings(max_examples=60, deadline=None, derandomize=True, suppress_health_check=QUIET)
 @given(ORDERS, st.sampled_from([0, 20, 250]))
 def test_a_stop_is_obeyed_before_anything_follows_however_late(order: list[tuple[int, str]], way_ms: int) -> None:

@@ -48,6 +48,7 @@ def test_passivity_follows_after_minutes_as_in_its_tenth_cycle(
     assert_not_tired(run, endless("passivity", stiffness, 0, arm=arm, seconds=50.0))
 
 
+@pytest.mark.check("takes 5 s")
 @pytest.mark.parametrize(("stiffness", "arm"), [(10.0, 0.0), (38.0, 300.0), (200.0, 1000.0)])
 def test_loss_and_jitter_do_not_tire_passivity(stiffness: float, arm: float) -> None:
     run = endless("passivity", stiffness, 80, arm=arm, seconds=SHORT_S, jitter_ms=20, loss=0.2, seed=3)

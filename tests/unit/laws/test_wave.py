@@ -135,6 +135,7 @@ def test_neither_half_sends_or_gives_more_than_it_received(ticks: list[tuple[flo
         assert master.sent_j + kinetic <= at_hand + master.inbox.taken_j + master.granted_j + 1e-12
 
 
+@pytest.mark.check("takes 2 s")
 @pytest.mark.parametrize("delay", [0, 20, 100, 250])
 def test_at_rest_the_line_is_a_spring_and_the_forces_are_equal(run_loop: Any, delay: int) -> None:
     run = run_loop("wave", lambda n: 1.0, lambda x: 20.0 * x, 8000, lambda n: delay, lambda n: delay)

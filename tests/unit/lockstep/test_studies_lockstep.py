@@ -40,6 +40,7 @@ def written_out(force_at: Any, delay_ticks: int, lead_in: int, ticks: int) -> di
     return {"x": np.array(positions[lead_in:]), "f": np.array(forces[lead_in:])}
 
 
+@pytest.mark.usefixtures("plain_loop")
 @pytest.mark.parametrize("delay_ms", [0.0, 7.0, 40.0])
 def test_spring_loop_is_the_loop_written_out(delay_ms: float) -> None:
     course = course_of(cell(delay_ms=delay_ms), FIG12, 6.0)
@@ -52,6 +53,7 @@ def test_spring_loop_is_the_loop_written_out(delay_ms: float) -> None:
     np.testing.assert_allclose(course.tip_force_n[half:], felt, rtol=0.0, atol=1e-10 * felt.max())
 
 
+@pytest.mark.usefixtures("plain_loop")
 @pytest.mark.parametrize("delay_ms", [0, 40])
 def test_contact_loop_is_the_loop_written_out(delay_ms: int) -> None:
     course = course_of(cell(environment="tip_sample", delay_ms=float(delay_ms)), FIG12, 8.0)

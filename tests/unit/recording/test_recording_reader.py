@@ -176,6 +176,7 @@ def test_a_plain_mcap_file_without_our_facts_is_read(tmp_path: Path, use_chunkin
 
 
 # the step between cuts [bytes]: the records are the same in all three, and only the inside of a chunk differs
+@pytest.mark.check("reads a file cut off at many places")
 @pytest.mark.grid(compression="zstd")
 @pytest.mark.parametrize(
     ("compression", "step"),

@@ -134,6 +134,7 @@ ORDERS = given(BEFORE, st.one_of(AFTER, AT_ONCE), SURROUNDINGS)
 QUIET = [HealthCheck.too_slow, HealthCheck.data_too_large]
 
 
+@pytest.mark.check("eighty drawn orders take 6 s")
 @settings(max_examples=80, deadline=None, derandomize=True, suppress_health_check=QUIET)
 @ORDERS
 def test_whatever_came_before_an_emergency_stop_leaves_both_devices_latched(
@@ -153,6 +154,7 @@ def test_a_thousand_orders_leave_both_devices_latched(before: Order, after: Orde
 MOVES = st.lists(st.tuples(GAPS_MS, st.one_of(ARMS, STALLS)), min_size=1, max_size=14)
 
 
+@pytest.mark.check("eighty drawn orders take 3 s")
 @settings(max_examples=80, deadline=None, derandomize=True, suppress_health_check=QUIET)
 @given(MOVES, SURROUNDINGS)
 def test_a_tip_follows_no_hand_that_is_not_armed_and_fresh(moves: Order, around: Surroundings) -> None:

@@ -246,6 +246,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_session(tmp_path: Path) -> N
     assert any("quota" in text for text in outcome.missing)
 
 
+@pytest.mark.check("takes 2 s")
 def test_a_further_field_that_tells_of_the_machine_moves_no_message(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
