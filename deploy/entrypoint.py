@@ -9,12 +9,11 @@ from pathlib import Path
 
 import yaml
 
-from telenano.launcher.plan import anchored
+from telenano.cli.exit_codes import EXIT_BAD_CONFIGURATION
 from telenano.runtime.bus.local_endpoint import runtime_directory
 from telenano.runtime.security.private_files import check_runtime_directory
-from telenano.runtime.wiring.main import EXIT_BAD_START
 from telenano.settings.config import ENVIRONMENT_PREFIX, layered
-from telenano.settings.included import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY
+from telenano.settings.included import DEFAULT_SITE_FILE, SCENARIO_DIRECTORY, anchored
 from telenano.signals import children
 from telenano.timing.clock import EPOCH_OFFSET_VARIABLE
 from telenano.wire.errors import ConfigError
@@ -54,7 +53,7 @@ def main(command: list[str]) -> None:
         program = command or node_command(node)
     except ConfigError as error:
         sys.stderr.write(f"{error}\n")
-        raise SystemExit(EXIT_BAD_START) from error
+        raise SystemExit(EXIT_BAD_CONFIGURATION) from error
     children.become(program)
 
 

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from telenano.lazy_exports import face
 
 if TYPE_CHECKING:
-    from telenano.launcher.plan import anchored as anchored
     from telenano.launcher.plan import check_files as check_files
     from telenano.launcher.plan import check_sections as check_sections
     from telenano.launcher.rigs import running_rigs as running_rigs

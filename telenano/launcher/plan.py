@@ -27,8 +27,8 @@ from telenano.settings.config import Settings, environment_overrides, flag_overr
 from telenano.settings.device_drivers import Drivers
 from telenano.settings.included import (
     DEFAULT_SITE_FILE,
-    SCENARIO_DIRECTORY,
     TWO_SITES_FILE,
+    anchored,
     find_scenario,
     site_file_named,
 )
@@ -436,24 +436,6 @@ def _reject_recording_place(settings: Sequence[str]) -> None:
                 f"{origin}: recorder.{keys[0]}: `telenano up` records to {RECORDING_NAME} in the folder of --out: "
                 "give that option"
             )
-
-
-def anchored(tree: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Return a scenario with absolute file names.
-
-    A file that does not exist in `folder`, that of the scenario, but in the working directory is taken from there. So
-    are missing files if `folder` is that of the packaged scenarios.
-    """
-    return {key: _anchored_value(key, value, folder) for key, value in tree.items()}
-
-
-def _anchored_value(key: str, value: Any, folder: Path) -> Any:
-    if isinstance(value, dict):
-        return anchored(value, folder)
-    if not isinstance(value, str) or not (key == "file" or key.endswith("_file")):
-        return value
-    beside, here = folder / value, Path(value).absolute()
-    return str(here if (here.exists() or folder == SCENARIO_DIRECTORY) and not beside.exists() else beside)
 
 
 def check_files(loaded: LoadedScenario, elsewhere: Collection[str] = ()) -> None:

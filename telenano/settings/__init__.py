@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from telenano.settings.included import DEFAULT_SITE_FILE as DEFAULT_SITE_FILE
     from telenano.settings.included import DEMO_RECORDING as DEMO_RECORDING
     from telenano.settings.included import TWO_SITES_FILE as TWO_SITES_FILE
+    from telenano.settings.included import anchored as anchored
     from telenano.settings.included import find_scenario as find_scenario
     from telenano.settings.link_settings import LinkSettings as LinkSettings
     from telenano.settings.named_instruments import instrument_named as instrument_named

@@ -6,6 +6,7 @@ site_file_named(Path("two_sites"))         # .../telenano/settings/sites/two_sit
 
 import os
 from pathlib import Path
+from typing import Any
 
 from telenano.settings.plugins import scenario_files
 from telenano.wire.errors import ConfigError, known_names, probably_meant
@@ -80,3 +81,21 @@ def site_file_named(path: Path | None) -> Path | None:
     packaged = SITE_DIRECTORY / f"{path}.yaml"
     # `Path.is_file` raises for a name that is too long.
     return packaged if os.path.isfile(packaged) else path  # noqa: PTH113
+
+
+def anchored(tree: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """Return a scenario with absolute file names.
+
+    A file that does not exist in `folder`, that of the scenario, but in the working directory is taken from there. So
+    are missing files if `folder` is that of the packaged scenarios.
+    """
+    return {key: _anchored_value(key, value, folder) for key, value in tree.items()}
+
+
+def _anchored_value(key: str, value: Any, folder: Path) -> Any:
+    if isinstance(value, dict):
+        return anchored(value, folder)
+    if not isinstance(value, str) or not (key == "file" or key.endswith("_file")):
+        return value
+    beside, here = folder / value, Path(value).absolute()
+    return str(here if (here.exists() or folder == SCENARIO_DIRECTORY) and not beside.exists() else beside)

@@ -16,6 +16,8 @@ for name in "{_ABSENT}".split():
     sys.modules[name] = None
 sys.path.insert(0, "deploy")
 import entrypoint
+# each container runs it before its program, which imports these again
+assert "numpy" not in sys.modules and "zmq" not in sys.modules
 for node in ("controller", "afm_node", "haptic_node", "delay_node"):
     __import__(f"services.{{node}}.__main__")
 """

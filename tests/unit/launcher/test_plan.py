@@ -5,12 +5,12 @@ from typing import Any
 import pytest
 import yaml
 
-from telenano.launcher.plan import ALLOW_REPLAY, UpRequest, anchored, make_plan
+from telenano.launcher.plan import ALLOW_REPLAY, UpRequest, make_plan
 from telenano.launcher.run import disk_warning
 from telenano.runtime.bus.address_book import AddressBook
 from telenano.settings import DEFAULT_SITE_FILE, TWO_SITES_FILE
 from telenano.settings.config import read_yaml
-from telenano.settings.included import known_scenarios
+from telenano.settings.included import anchored, known_scenarios
 from telenano.wire.errors import ConfigError
 from telenano.wire.nodes import LAUNCHER, OPTIONAL_NODES, PAGE, RECORDER, START_ORDER, STOP_ORDER
 

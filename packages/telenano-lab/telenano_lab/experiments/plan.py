@@ -11,8 +11,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from telenano.launcher import anchored, check_files, check_sections
-from telenano.settings import LoadedScenario, find_scenario, flatten, merge, nested, read_yaml, validate
+from telenano.launcher import check_files, check_sections
+from telenano.settings import LoadedScenario, anchored, find_scenario, flatten, merge, nested, read_yaml, validate
 from telenano.wire import ConfigError, Scalar, known_names
 from telenano_lab.experiments.experiment_file import DELAYS, IN_BRACES, Experiment, Picture, TaskEntry
 from telenano_lab.experiments.extend import Task
