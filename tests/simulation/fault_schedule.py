@@ -257,13 +257,17 @@ def _stopped_again(dice: random.Random, at_s: float) -> list[Event]:
 
 
 def _ended_in_a_stop(dice: random.Random, at_s: float) -> list[Event]:
-    """Draw a stop of a device, and the end of its process, which a person has not armed meanwhile."""
+    """Draw a stop of a device, and then its loss or the end of its process; no person has armed it meanwhile."""
     node, site = dice.choice([(HAND, "master"), (TIP, "master"), (TIP, "slave")])
     press = {"kind": "press", "site": site, "target": node.partition("@")[0]}
     later_s = round(at_s + dice.choice([0.2, 0.5]), 3)
-    how = dice.choice(["killed", "ended", "failed", "replaced"])
-    end = {"at_s": later_s, "kind": "kill", "node": node, "after": 0, "torn": 0.0, "how": how}
-    return [{"at_s": at_s, **press}, end]
+    if dice.random() < 0.5:
+        device = "hand" if node == HAND else "tip"
+        end = {"kind": "device", "device": device, "fault": "lost", "for_s": dice.choice([0.05, 0.2, 0.7])}
+    else:
+        how = dice.choice(["killed", "ended", "failed", "replaced"])
+        end = {"kind": "kill", "node": node, "after": 0, "torn": 0.0, "how": how}
+    return [{"at_s": at_s, **press}, {"at_s": later_s, **end}]
 
 
 def _unanswered(dice: random.Random, at_s: float) -> list[Event]:
@@ -371,7 +375,7 @@ _GROUPS: dict[str, tuple[float, Callable[[random.Random, float], list[Event]]]] 
     "restart": (0.4, _restart),
     "stopped again": (1.0, _stopped_again),
     "stop while away": (1.0, _stop_while_away),
-    "ended in a stop": (0.8, _ended_in_a_stop),
+    "ended in a stop": (1.2, _ended_in_a_stop),
     "unanswered": (0.8, _unanswered),
     "longer way": (1.0, _longer_way),
     "law while cut": (0.4, _law_while_cut),
