@@ -57,7 +57,7 @@ def test_the_points_are_in_the_figure_with_their_errors(tmp_path: Path) -> None:
     ]  # fmt: skip
     assert distances[0][0].get_xydata().tolist() == [[5.0, -3.0]]
     (legend,) = figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == ["$F_m$, ours", "ours: stable", "published"]
+    assert [text.get_text() for text in legend.get_texts()] == ["$F_m$", "ours: stable", "published"]
 
 
 def test_the_nearest_point_counts_in_errors() -> None:
