@@ -36,10 +36,11 @@ class GatewayRig:
     def start_gateway(self) -> None:
         words = ["--name", "127.0.0.1", "--port", str(self._port), "--host", "127.0.0.1"]
         self._start("relay", *words, "--listen", f"127.0.0.1:{self._relay_port}")
+        self._wait("relay", "pages are at", "a gateway that serves")
 
     def start_end(self) -> None:
         self._start("master", "--join", f"127.0.0.1:{self._relay_port}", "--page-port", self._page_port)
-        until(lambda: "is connected" in (self._folder / "relay.log").read_text(), "a rig at the gateway")
+        self._wait("master", "is reached", "a rig at the gateway")
 
     def kill(self, name: str) -> None:
         """End a process as a crash does: `relay` is the gateway, `master` the end of the rig."""
@@ -60,9 +61,19 @@ class GatewayRig:
     def origin(self) -> Any:
         return self.address.removesuffix(f"/{RIG}/")
 
+    def _wait(self, name: str, text: str, what: str) -> None:
+        """Wait until a process that was started has logged a text."""
+
+        def is_said() -> bool:
+            log = (self._folder / f"{name}.log").read_text()
+            assert self._running[name].poll() is None, log
+            return text in log
+
+        until(is_said, what)
+
     def _start(self, name: str, *words: str) -> None:
         environment = {**os.environ, "TELENANO_KEYS_DIR": str(self._folder / name)}
-        with (self._folder / f"{name}.log").open("ab") as log:
+        with (self._folder / f"{name}.log").open("wb") as log:
             command = [sys.executable, "-m", "telenano", "gateway", *words]
             self._running[name] = subprocess.Popen(command, env=environment, stdout=log, stderr=log)
 

@@ -76,6 +76,8 @@ def gateway(
     """Serve the page of rigs that dial out to this machine, until Ctrl-C; with --join, be the end of a rig."""
     with report_errors(as_json=False):
         beside_the_loop()
+        if reason := missing_for_view() or ("" if join else missing_for_gateway()):
+            raise ConfigError(reason)
         if join is not None:
             from telenano_wide_area.gateway.rig_end import RigEnd
 
@@ -85,8 +87,6 @@ def gateway(
                 raise ConfigError(f"--join: {error}") from error
             until_stopped(end.run())
             return
-        if reason := missing_for_gateway():
-            raise ConfigError(reason)
         with tempfile.TemporaryDirectory(prefix="telenano-gateway-") as folder:
             tls, digest = checked_tls(host, certificate, key) if certificate or key else None, b""
             if tls is None:
@@ -96,10 +96,9 @@ def gateway(
 
 
 def missing_for_gateway() -> str:
-    """Return a sentence on what is not installed to run a gateway; empty if it is all there."""
-    if util.find_spec("aioquic") is None:
-        return "aioquic is not installed: pip install 'telenano-wide-area[gateway]'"
-    return missing_for_view()
+    """Return a sentence on what a gateway lacks beside a server of the page; empty if it is all there."""
+    is_there = util.find_spec("aioquic") is not None
+    return "" if is_there else "aioquic is not installed: pip install 'telenano-wide-area[gateway]'"
 
 
 async def _serve(names: list[str], tls: Tls, digest: bytes, bound: Listener, listen: str, mbit_per_s: float) -> None:
@@ -117,6 +116,10 @@ async def _serve(names: list[str], tls: Tls, digest: bytes, bound: Listener, lis
         # `until_stopped` handles the signals.
         server.capture_signals = contextlib.nullcontext  # type: ignore[method-assign, assignment]
         sessions = await open_sessions(gateway, access, tls, host, port)
+        shown = names[0] if names else host
+        StructuredLog("gateway").info(
+            f"the page of a rig is at https://{shown}:{port}/NAME/, NAME being that of its key"
+        )
         tidying = asyncio.create_task(relay.run())
         try:
             await server.serve(sockets=[bound.again(connections)])

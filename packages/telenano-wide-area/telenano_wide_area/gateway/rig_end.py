@@ -5,6 +5,7 @@ The server of the page sees a page of this machine: it asks for the token, and d
 
 import asyncio
 import contextlib
+import socket
 import time
 from typing import Any
 
@@ -29,8 +30,8 @@ _MAINTAIN_S = 0.1
 class _Page:
     """A page: its socket at the server of the page, and when its last datagram came, on the monotonic clock [s]."""
 
-    def __init__(self, number: bytes, socket: Any) -> None:
-        self.number, self.socket = number, socket
+    def __init__(self, number: bytes, opened: Any) -> None:
+        self.number, self.socket = number, opened
         self.heard_s = 0.0
 
 
@@ -87,11 +88,11 @@ class RigEnd(RelayClient, asyncio.DatagramProtocol):
             origin: Any = f"http://{self._page}"
             async with connect(
                 f"ws://{self._page}/bus", origin=origin, compression=None, max_size=None, open_timeout=_SERVER_S
-            ) as socket:
+            ) as joined:
                 channel = await self._dial(want="accept", number=number)
                 try:
                     if "ok" in await channel.receive():
-                        await self._join(channel, _Page(bytes.fromhex(number), socket))
+                        await self._join(channel, _Page(bytes.fromhex(number), joined))
                 finally:
                     channel.close()
         except (*Gone, WebSocketException) as error:
@@ -135,7 +136,7 @@ class RigEnd(RelayClient, asyncio.DatagramProtocol):
         while True:
             with contextlib.suppress(OSError):
                 if self._transport is None or self._transport.is_closing():
-                    found = await loop.getaddrinfo(self._host, self._port, type=2)
+                    found = await loop.getaddrinfo(self._host, self._port, type=socket.SOCK_DGRAM)
                     family, _, _, _, address = found[0]
                     self._transport, _ = await loop.create_datagram_endpoint(lambda: self, family=family)
                     keys = SharedKeys(self._own, self._relay_key, TO_RELAY)

@@ -1,5 +1,6 @@
 """Sessions of WebTransport over HTTP/3, by which datagrams of a page come to the gateway and go back."""
 
+import logging
 from typing import Any
 
 from aioquic.asyncio.protocol import QuicConnectionProtocol
@@ -88,6 +89,8 @@ async def open_sessions(gateway: Gateway, access: Access, tls: Tls, host: str, p
         host: The address.
         port: The port, of the same number as that of the page, because a page may connect to that alone.
     """
+    # Any client can cause any number of lines.
+    logging.getLogger("quic").setLevel(logging.ERROR)
     configuration = QuicConfiguration(
         alpn_protocols=H3_ALPN, is_client=False, max_datagram_frame_size=_MOST_DATAGRAM_BYTES, idle_timeout=_IDLE_S
     )
