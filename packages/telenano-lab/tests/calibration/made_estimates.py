@@ -22,7 +22,6 @@ from telenano_lab.doubles.made_curves import curve_under, drawn_conditions
 from telenano_lab.microscopy.curve_fit import ContactShape, MeasuredWays, fit_curve
 
 from telenano.analysis import DEVIATIONS, mean_half_width, student
-from telenano.analysis.felt_stiffness import NotKnown, SampleFacts, felt_over
 from telenano.wire import ConfigError
 
 
@@ -114,29 +113,6 @@ def slope(seed: int) -> Told:
     return Told(True, 3.0 * (float(slopes.mean()) - 0.3) / half)
 
 
-def felt(seed: int) -> Told:
-    """The ratio of felt to true stiffness of a hand that goes to and fro on a spring; an empty one stands still.
-
-    The hand has a damping, a tremor and a drift, the force of the tip a noise of up to a twentieth of its swing.
-    """
-    draw = np.random.default_rng(seed)
-    time, empty = np.arange(0.0, draw.uniform(6.0, 10.0), 0.05), seed % 4 == 3
-    there, ratio, per_tip = math.exp(draw.uniform(4.0, 7.0)), math.exp(draw.uniform(-1.2, 1.2)), 1e-3
-    swings = [(draw.uniform(0.3, 1.5), draw.uniform(0.3, 1.0), draw.uniform(0.0, 6.28)) for _ in range(2)]
-    way = 1e-3 * sum((size * np.sin(2.0 * math.pi * rate * time + phase) for rate, size, phase in swings), 0.0 * time)
-    way = 0.0 * time if empty else way
-    swing, tremor = float(np.ptp(way)) or 1e-4, draw.standard_normal((3, len(time)))
-    speed, damping = np.gradient(way, time), draw.uniform(0.0, 0.1) * ratio * there
-    hand_n = ratio * there * way + damping * speed + ratio * there * swing * draw.uniform(-0.3, 0.3) * time / time[-1]
-    hand = np.array([time, way, hand_n + draw.uniform(0.0, 0.03) * ratio * there * swing * tremor[0]])
-    base = 1e-6 * way
-    tip_n = there / per_tip * base + draw.uniform(0.0, 0.05) * there / per_tip * 1e-6 * swing * tremor[1]
-    found = felt_over(hand, np.array([time, base, tip_n]), per_tip, SampleFacts(has_piezo=False))
-    if isinstance(found, NotKnown):
-        return Told(not empty, None)
-    return Told(not empty, (found.ratio - ratio) / ((found.high - found.low) / 3.92))
-
-
 ESTIMATES: dict[str, Callable[[int], Told]] = {
     "stiffness, air": lambda seed: spectrum("clean", seed),
     "stiffness, overdamped": lambda seed: spectrum("overdamped", seed),
@@ -147,7 +123,6 @@ ESTIMATES: dict[str, Callable[[int], Told]] = {
     "scale of a hand": scale_of_hand,
     "mean": mean,
     "slope": slope,
-    "felt stiffness": felt,
 }
 
 
