@@ -117,13 +117,14 @@ async def _serve(names: list[str], tls: Tls, digest: bytes, bound: Listener, lis
         server.capture_signals = contextlib.nullcontext  # type: ignore[method-assign, assignment]
         sessions = await open_sessions(gateway, access, tls, host, port)
         shown = names[0] if names else host
-        StructuredLog("gateway").info(
-            f"the page of a rig is at https://{shown}:{port}/NAME/, NAME being that of its key"
-        )
+        StructuredLog("gateway").info(f"pages are at https://{shown}:{port}/NAME/, with the name of a rig's key")
         tidying = asyncio.create_task(relay.run())
         try:
-            await server.serve(sockets=[bound.again(connections)])
+            serving = asyncio.create_task(server.serve(sockets=[bound.again(connections)]))
+            await asyncio.shield(serving)
         finally:
+            server.should_exit = True
+            await serving
             tidying.cancel()
             sessions.close()
             bound.close()
