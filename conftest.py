@@ -21,6 +21,7 @@ __all__ = ["process_restored", "process_restored_after_a_file", "pytest_testnode
 
 ROOT = Path(__file__).parent
 STACK = ROOT / "tests" / "stack"
+PACKAGES = ROOT / "packages"
 # When a test of `make endurance` is ended that names no time of its own [s]; `make test` and `make check` have the
 # limit of pyproject.toml, which several of those tests need for their work.
 ENDURANCE_S = 3600
@@ -57,7 +58,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def _leave_three_quarters(items: list[pytest.Item]) -> None:
     """Mark for `make check` all but the first quarter, by the digests of their names, of a test's four or more cases.
 
-    The cases of a rig of processes belong together, and `tests/stack` says itself which of them are in `make test`.
+    Those of a package that the change leaves alone are marked for `make endurance`. The cases of a rig of processes
+    belong together, and `tests/stack` says itself which of them are in `make test`.
     """
     cases = defaultdict[tuple[Path, str], list[pytest.Item]](list)
     for item in items:
@@ -68,8 +70,13 @@ def _leave_three_quarters(items: list[pytest.Item]) -> None:
         if len(many) < 4 or touches(path.relative_to(ROOT).as_posix()):
             continue
         many.sort(key=lambda item: zlib.crc32(item.name.encode()))
+        rest = pytest.mark.endurance if _is_in_a_package_left_alone(path) else pytest.mark.check
         for item in many[(len(many) + 3) // 4 :]:
-            item.add_marker(pytest.mark.check("a quarter of the cases stands for all"))
+            item.add_marker(rest("a quarter of the cases stands for all"))
+
+
+def _is_in_a_package_left_alone(path: Path) -> bool:
+    return PACKAGES in path.parents and not touches(f"packages/{path.relative_to(PACKAGES).parts[0]}/")
 
 
 def _places(item: pytest.Item, drawn: pytest.Mark) -> tuple[str, ...]:

@@ -35,13 +35,14 @@ def hooks(monkeypatch: pytest.MonkeyPatch) -> Any:
     assert spec is not None and spec.loader is not None
     found = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(found)
-    monkeypatch.setattr(found, "touches", lambda *places: "tests/changed.py" in places)
+    changed = {"tests/changed.py", "packages/telenano-changed/"}
+    monkeypatch.setattr(found, "touches", lambda *places: not changed.isdisjoint(places))
     return found
 
 
-def later(hooks: Any, cases: list[Case]) -> set[str]:
+def later(hooks: Any, cases: list[Case], mark: str = "check") -> set[str]:
     hooks._leave_three_quarters(cases)
-    return {case.name for case in cases if "check" in case.marks}
+    return {case.name for case in cases if mark in case.marks}
 
 
 def test_a_quarter_of_a_test_with_four_or_more_cases_stays_and_it_is_the_same_each_time(hooks: Any) -> None:
@@ -59,3 +60,10 @@ def test_what_is_changed_single_or_of_a_rig_stays_and_other_marks_are_kept(hooks
     slow = [Case("tests/a.py", "test_a", str(number), "endurance") for number in range(8)]
     assert not later(hooks, slow)
     assert all(case.marks == ["endurance"] for case in slow)
+
+
+def test_a_package_that_a_change_leaves_alone_has_a_quarter_in_make_check_and_a_changed_one_has_all(hooks: Any) -> None:
+    for package, mark in (("changed", "check"), ("other", "endurance")):
+        cases = [Case(f"packages/telenano-{package}/tests/a.py", "test_a", str(number)) for number in range(8)]
+        assert len(later(hooks, cases, mark)) == 6
+        assert {name for case in cases for name in case.marks} == {mark}

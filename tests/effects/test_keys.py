@@ -24,7 +24,7 @@ from telenano.sections.afm_section import AfmConfig
 from telenano.settings.config import merge
 
 SEED = 93
-SHARE = 0.1
+SHARE = 0.05
 # Keys of a changed section that `make check` tries at most.
 _MOST_TOUCHED = 12
 WHAT_TO_DO = (
@@ -62,9 +62,9 @@ def drawn() -> list[Leaf]:
     return [leaf for leaf in found if not any(fits(leaf, pattern) for pattern in COSTLY)]
 
 
-@pytest.mark.check("takes 40 s")
+@pytest.mark.check("takes half a minute")
 @pytest.mark.timeout(1800)
-def test_a_tenth_of_the_keys_and_those_that_a_change_touches_have_an_effect() -> None:
+def test_a_twentieth_of_the_keys_and_those_that_a_change_touches_have_an_effect() -> None:
     changed = touched(list(every()))
     tried = {
         leaf.name: leaf for leaf in [*drawn(), *random.Random(SEED).sample(changed, min(len(changed), _MOST_TOUCHED))]

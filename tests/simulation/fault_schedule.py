@@ -116,7 +116,9 @@ class Schedule(NamedTuple):
             # Over a long way only wave variables promise to go on, so that nothing could be judged at the end.
             ends_s = round(max(one["at_s"] + one.get("for_s", 0.0) for one in events), 4)
             events.append({"at_s": ends_s, "kind": "delay", "forward_s": 0.01, "backward_s": 0.01})
-        limit_n, drawn, session_s = dice.choice(FORCE_LIMITS_N), dice.choice(PROCESSES), _session_s(dice)
+        has_risen = any(one.get("fault") == "risen" for one in events)
+        limit_n = min(FORCE_LIMITS_N) if has_risen else dice.choice(FORCE_LIMITS_N)
+        drawn, session_s = dice.choice(PROCESSES), _session_s(dice)
         schedule = cls(seed, law, delay_s, link_s, tuple(events), rate_hz, limit_n, processes or drawn, session_s)
         if is_calm or dice.random() >= PAGE_SHARE:
             return schedule
@@ -255,13 +257,17 @@ def _stopped_again(dice: random.Random, at_s: float) -> list[Event]:
 
 
 def _ended_in_a_stop(dice: random.Random, at_s: float) -> list[Event]:
-    """Draw a stop of a device, and the end of its process, which a person has not armed meanwhile."""
+    """Draw a stop of a device, and then its loss or the end of its process; no person has armed it meanwhile."""
     node, site = dice.choice([(HAND, "master"), (TIP, "master"), (TIP, "slave")])
     press = {"kind": "press", "site": site, "target": node.partition("@")[0]}
     later_s = round(at_s + dice.choice([0.2, 0.5]), 3)
-    how = dice.choice(["killed", "ended", "failed", "replaced"])
-    end = {"at_s": later_s, "kind": "kill", "node": node, "after": 0, "torn": 0.0, "how": how}
-    return [{"at_s": at_s, **press}, end]
+    if dice.random() < 0.5:
+        device = "hand" if node == HAND else "tip"
+        end = {"kind": "device", "device": device, "fault": "lost", "for_s": dice.choice([0.05, 0.2, 0.7])}
+    else:
+        how = dice.choice(["killed", "ended", "failed", "replaced"])
+        end = {"kind": "kill", "node": node, "after": 0, "torn": 0.0, "how": how}
+    return [{"at_s": at_s, **press}, {"at_s": later_s, **end}]
 
 
 def _unanswered(dice: random.Random, at_s: float) -> list[Event]:
@@ -332,6 +338,12 @@ def _longer_way(dice: random.Random, _: float) -> list[Event]:
     return [{"at_s": round(dice.uniform(0.9, 1.25), 3), "kind": "delay", **there}]
 
 
+def _risen(dice: random.Random, _: float) -> list[Event]:
+    """Draw a sample that rises under a tip on which the hand presses."""
+    risen = {"kind": "device", "device": "tip", "fault": "risen", "for_s": 0.7}
+    return [{"at_s": round(dice.uniform(1.6, 3.0), 3), **risen}]
+
+
 def _press(dice: random.Random, at_s: float) -> Event:
     site = dice.choice(["master", "master", "slave"])
     target = "afm_node" if site == "slave" else dice.choice(["*", "*", "haptic_node", "afm_node"])
@@ -363,12 +375,13 @@ _GROUPS: dict[str, tuple[float, Callable[[random.Random, float], list[Event]]]] 
     "restart": (0.4, _restart),
     "stopped again": (1.0, _stopped_again),
     "stop while away": (1.0, _stop_while_away),
-    "ended in a stop": (0.8, _ended_in_a_stop),
+    "ended in a stop": (1.2, _ended_in_a_stop),
     "unanswered": (0.8, _unanswered),
     "longer way": (1.0, _longer_way),
     "law while cut": (0.4, _law_while_cut),
     "answer lost": (0.4, _answer_lost),
     "half of another law": (0.8, _half_of_another_law),
+    "risen": (1.0, _risen),
 }
 KINDS = frozenset(
     {

@@ -275,8 +275,10 @@ def judge_going_on(session: Session) -> Iterator[Break]:
     """Check: a rig that can go on does so: after the last fault a person arms it, and hand and tip follow."""
     said = [one.fields["text"] for one in session.direct["launcher@master", "session/event"]]
     stops = [one["at_s"] for one in session.events("press", "kill", "site_restart", "device", "arm")]
+    stops += [one["at_s"] for one in session.events("stall", "partition") if one["for_s"] > DEADLINE_S + HOLD_S]
     if failure := session.history["failure"]:
-        # A stop, or the end of a device, cancels the arming at the start of a session, which a person must repeat.
+        # A stop, the end of a device, or so long a silence that the tip is withdrawn cancels the arming at the start of
+        # a session, which a person must repeat.
         if "the session is running" in said or not any(at_s < session.end_s for at_s in stops):
             yield Break("goes_on", session.end_s, f"the rig has ended: {failure[:300]}")
         return

@@ -1,31 +1,31 @@
 // A hand in Node with zeromq and @msgpack/msgpack, from proto/ alone: node hand_client.mjs OWN_ENDPOINT RIG_ENDPOINT
 // SECONDS STOP_AFTER_S RATE_HZ. It goes where haptic/command says, obeys a stop, and gives one of its own; 0 for none.
+// tcp:// is CURVE, with the key file $HAND_KEY_FILE, and $RIG_KEY as the one public key of the rig's machine.
 import { createRequire } from "node:module";
+import { admit, keysOf } from "./keys.mjs";
 
 const installed = createRequire(`${process.env.CLIENT_PACKAGES}/`);
 const { decode, encode } = installed("@msgpack/msgpack");
-const { Publisher, Subscriber } = installed("zeromq");
+const { Publisher, Reply, Subscriber } = installed("zeromq");
 const [own, rig, seconds, stopAfter, rateHz] = process.argv.slice(2);
-const NODE = "haptic_node@master";
-const OWN_STOP = "n-stop-1";
+const [NODE, OWN_STOP] = ["haptic_node@master", "n-stop-1"];
 const KNOWN = "seq t_ns src v run id command target parameters validity_s node_t_ns node_latch by".split(" ");
 const TAKES = ["arm", "estop", "start", "stop"];
 const offset = BigInt(Date.now()) * 1_000_000n - process.hrtime.bigint();
 const now = () => process.hrtime.bigint() + offset;
-const began = now();
-const run = (began / 1000n) & 0xffffffffn;
-const publisher = new Publisher({ sendHighWaterMark: 22_000, linger: 1000 });
-const reader = new Subscriber({ receiveHighWaterMark: 22_000, linger: 0 });
-const sent = {};
-const done = new Map();
-const still = [0.0, 0.0, 0.0];
+const began = now(), run = (began / 1000n) & 0xffffffffn;
+const keys = process.env.HAND_KEY_FILE ? keysOf(process.env.HAND_KEY_FILE) : {};
+const server = own.startsWith("tcp:") ? { curveServer: true, curveSecretKey: keys.secretKey } : {};
+const theirs = { curveServerKey: process.env.RIG_KEY, curvePublicKey: keys.publicKey, curveSecretKey: keys.secretKey };
+const publisher = new Publisher({ sendHighWaterMark: 22_000, linger: 1000, ...server });
+const reader = new Subscriber({ receiveHighWaterMark: 22_000, linger: 0, heartbeatInterval: 200, ...(rig.startsWith("tcp:") ? theirs : {}) });
+const [sent, done, still] = [{}, new Map(), [0.0, 0.0, 0.0]];
 const hand = { position: still, force: still, mode: "off", seq: 0n, t: 0n, at: 0n };
 let [tip, latch, stoppedAt, isLatched, isArmed, isGiven] = [still, "", 0n, false, false, false];
 
 // A JavaScript number is packed as a float 64 and a BigInt as an integer.
 const FORM = { useBigInt64: true, forceIntegerToFloat: true };
-const queue = [];
-let isSending = false;
+let [queue, isSending] = [[], false];
 async function send(topic, fields, src = NODE) {
   sent[topic] = (sent[topic] ?? 0n) + 1n;
   queue.push([topic, encode({ seq: sent[topic] - 1n, t_ns: now(), src, v: 1n, run, ...fields }, FORM)]);
@@ -37,8 +37,7 @@ async function send(topic, fields, src = NODE) {
 function answer(asked, reason, more = {}) { // an empty reason acknowledges
   const stop = latch ? { latch, latched: isLatched, estop_age_s: Number(now() - stoppedAt) / 1e9 } : {};
   const data = { command: asked.command, target: asked.target, giver: asked.src, sent_t_ns: asked.t_ns, ...stop, ...more };
-  const kind = reason ? "refused" : "ack";
-  send("session/event", { id: asked.id, kind, level: reason ? "warning" : "info", text: reason, data });
+  send("session/event", { id: asked.id, kind: reason ? "refused" : "ack", level: reason ? "warning" : "info", text: reason, data });
 }
 function stop(id) { [latch, stoppedAt, isLatched, isArmed] = [id, now(), true, false]; }
 function matches(pattern) {
@@ -87,8 +86,11 @@ function sendHealth() {
   const process_ = { pid: BigInt(process.pid), memory_bytes: 0n, realtime: false, memory_locked: false, replay: false };
   send("node/health", { state: isLatched ? "safe" : "running", rejected: {}, inputs: [], ...late, ...rates, ...process_ });
 }
+const zap = new Reply({ linger: 0 });
+await zap.bind("inproc://zeromq.zap.01");
+if (server.curveServer) admit(zap, [theirs.curveServerKey, keys.publicKey]);
 await publisher.bind(own);
-reader.connect(rig);
+rig.split(",").forEach((each) => reader.connect(each));
 reader.subscribe("haptic/command", "afm/state", "session/control", "session/event");
 const until = began + BigInt(Math.round(1e9 * seconds)), gives = began + BigInt(Math.round(1e9 * stopAfter));
 (async () => {
@@ -115,4 +117,4 @@ counts["sent.session/event"] = (sent["session/event"] ?? 0n) + 1n;
 while (isSending) await new Promise((wake) => setTimeout(wake, 1));
 await send("session/event", { id: "", kind: "node", level: "info", text: "the hand has ended", data: { state: "ended", ...counts } });
 console.log(JSON.stringify({ tip_force_n: tip.map(Number), stop_was_heard: isGiven }));
-reader.close(); publisher.close();
+[reader, publisher, zap].forEach((socket) => socket.close());
