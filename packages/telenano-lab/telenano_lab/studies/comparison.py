@@ -307,12 +307,12 @@ def compare_figures(
                     _draw_published([path], published, first=2)
                 _draw_published([position], published, first=1)
                 _limit(position, everyone, 1, limits[1])
-                _limit_distance(paths[0], everyone)
+                _limit_distance(paths[0], everyone, published)
                 _describe([position], 1, *_AXES[1])
                 _describe(paths, columns, *_AXES[2])
                 panels += [position, *paths]
                 options.lettered(panels)
-            _limit_time(forces[0], everyone)
+            _limit_time(forces[0], everyone, published)
             for panel, condition in zip(forces, shown, strict=True):
                 # A title wider than its panel would overlap the next one.
                 title = f"{panel.get_title(loc='left')} {condition.label}: {condition.outcome}".strip()
@@ -389,9 +389,9 @@ def _limits(curves: Sequence[tuple[Floats, bool]]) -> Limits:
     return low - margin, high + margin
 
 
-def _limit_time(panel: "Axes", drawn: Sequence[Drawn]) -> None:
-    """Let the time of panels begin and end with the first and last change of force or position in any session."""
-    times = []
+def _limit_time(panel: "Axes", drawn: Sequence[Drawn], published: Sequence[PublishedPoints]) -> None:
+    """Let the time of panels begin and end with the first and last change of any session, or published point."""
+    times = _places(published, "tip_force", "hand_force", "hand_position")
     curves = [one.curves[place] for one in drawn for place in (0, 1, _HAND_FORCE)]
     for x, y in curves:
         y = np.nan_to_num(y)
@@ -400,15 +400,20 @@ def _limit_time(panel: "Axes", drawn: Sequence[Drawn]) -> None:
             times += [x[np.abs(y - y[0]) > least][0], x[np.abs(y - y[-1]) > least][-1]]
     if times:
         margin = _MARGIN * (max(times) - min(times))
-        ends = [float(x[place]) for x, _ in curves if x.size for place in (0, -1)]
+        ends = [*times, *(float(x[place]) for x, _ in curves if x.size for place in (0, -1))]
         panel.set_xlim(max(min(ends), min(times) - margin), min(max(ends), max(times) + margin))
 
 
-def _limit_distance(panel: "Axes", drawn: Sequence[Drawn]) -> None:
-    """Let the panel of force against distance end where no force is left: most of an approach has none."""
+def _places(published: Sequence[PublishedPoints], *names: str) -> list[float]:
+    """Return the abscissae of the published points of curves."""
+    return [point.x for file in published for name in names for point in file.of(name)]
+
+
+def _limit_distance(panel: "Axes", drawn: Sequence[Drawn], published: Sequence[PublishedPoints]) -> None:
+    """Let the panel of force against distance end where no force is left, as in most of an approach, and no point."""
     curves = [one.curves[2] for one in drawn if not one.diverged] or [one.curves[2] for one in drawn]
     felt = [x[np.abs(y) > _FELT * float(np.nanmax(np.abs(y), initial=0.0))] for x, y in curves]
-    felt_nm = np.concatenate([x[np.isfinite(x)] for x in felt])
+    felt_nm = np.concatenate([_places(published, "tip_path"), *(x[np.isfinite(x)] for x in felt)])
     if felt_nm.size:
         low, high = float(felt_nm.min()), float(felt_nm.max())
         margin = _MARGIN_OF_DISTANCE * (high - low) or 1.0
