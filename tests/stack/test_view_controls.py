@@ -306,6 +306,7 @@ def test_what_came_of_a_press_has_a_place_of_its_own_covers_no_number_and_moves_
     until(note.count, "an answer that is awaited")
     assert page.value(_BOXES) == before
     until(page.page.locator(".answer.done").count, "the answer")
+    assert "couple hand and tip: acknowledged" in page.page.inner_text(".answer.done")
     assert page.value(_BOXES) == before
     place, shown = box(page, "#answers"), box(page, ".answer")
     assert shown["y"] >= place["y"] and shown["x"] + shown["width"] <= place["x"] + place["width"]
@@ -316,7 +317,6 @@ def test_what_came_of_a_press_has_a_place_of_its_own_covers_no_number_and_moves_
     for number in ("#hand-force", "#felt-force"):
         found = box(page, number)
         assert found["y"] >= place["y"] + place["height"] or found["x"] >= place["x"] + place["width"], number
-    page.until("/couple hand and tip: acknowledged/.test(document.querySelector('#events').textContent)", "the event")
     # one that has no room there is whole for who looks at it, by keys too, and nothing moves for it
     page.value("telenano.cockpit.commands.show('begin', false, 'a reason of many words '.repeat(24)), 0")
     page.until("document.querySelector('#answers').hasAttribute('data-long')", "a place that says that there is more")
