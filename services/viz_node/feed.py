@@ -80,6 +80,8 @@ class Feed:
         self._changes: dict[str, Any] = {}
         # Offset of the clock of the slave's machine, as measured by the link; positive if it is ahead.
         self._slave_ahead_ns = 0
+        # Newest force that the hand is shown, towards the sample [N], and when it was sent [ns]; None before the first.
+        self.felt: tuple[float, int] | None = None
         self._loss = LinkLoss()
         self._of_panels = installed_panels().topics
 
@@ -117,6 +119,8 @@ class Feed:
             ahead_ns = self._slave_ahead_ns if stream.site == "slave" else 0
             fields = self._loss.added(seen.fields) if stream.name == "link" else seen.fields
             self._batches[stream.name].add(seen.t_ns - ahead_ns, fields)
+            if stream.name == "command":
+                self.felt = float(seen.fields["force_n"][2]), seen.t_ns
         if keys := _STATE_KEYS.get(seen.topic):
             further = {key: value for key in _KEYS_IF_THERE if (value := seen.fields.get(key)) is not None}
             back = {

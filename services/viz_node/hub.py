@@ -165,10 +165,7 @@ class Hub:
         restarted = self._source.take_restart()
         if restarted:
             self._feed = Feed()
-        for seen in self._source.poll(watched=bool(self.sessions)):
-            self._feed.record(seen)
-            if seen.topic in AGE_TOPICS and self.commands.commander is not None:
-                self._feed.left_out.guard(self.age.record, seen)
+        self._collect()
         for session in self.sessions if restarted else ():
             session.restart(self.snapshot(session))
         changes = self._feed.take()
@@ -190,6 +187,13 @@ class Hub:
         if changes or now_s - self._sent_s >= _BEAT_S:
             self._sent_s = now_s
             self._offer({"at_s": now_s, **changes}, self._recipients())
+
+    def _collect(self) -> None:
+        """Record what the source has received."""
+        for seen in self._source.poll(watched=bool(self.sessions)):
+            self._feed.record(seen)
+            if seen.topic in AGE_TOPICS and self.commands.commander is not None:
+                self._feed.left_out.guard(self.age.record, seen)
 
     def _take_age(self) -> dict[str, Any]:
         """Once a second, return the parts of the loop's age for the pages, and send each page its round trip."""
@@ -482,8 +486,19 @@ class Hub:
                 if self.hand.holder not in (None, session):
                     raise RefusedError("another page holds the hand")
             self.hand.press(session, request.force_n, (request.across_x_n, request.across_y_n))
+            self._answer_force(session, request)
         except TelenanoError as error:
             session.answer(_packed({"k": "hand", "held": False, "text": str(error)}))
+
+    def _answer_force(self, session: Session, request: HandRequest) -> None:
+        """Answer a force that counts with the newest one that is felt, its age, and the stamp of the frame answered."""
+        if not request.stamp_s or session.role is not Role.OPERATOR:
+            return
+        self._collect()
+        if self._feed.felt is not None:
+            force_n, sent_ns = self._feed.felt
+            felt = {"force_n": force_n, "age_s": (self.hand.outlet().now_ns() - sent_ns) * 1e-9}
+            session.answer(_packed({"k": "felt", **felt, "number": request.number, "stamp_s": request.stamp_s}))
 
     def _is_old(self, session: Session, request: HandRequest) -> bool:
         """Return whether a force is late or was overtaken by a newer one; if so, tell its page how late it is."""

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import product
 from textwrap import fill
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -281,7 +282,10 @@ def _mark_states(axes: "Axes", path: TipPath) -> None:
 
 
 def _write_labels(axes: "Axes", labels: Sequence[tuple[float, float, Sequence[str]]]) -> None:
-    """Write texts near their points, inside the panel and clear of its curves, each with an arrow to its point."""
+    """Write texts near their points, inside the panel and clear of its curves, each with an arrow to its point.
+
+    No arrow crosses another one or a text where the panel has room for that.
+    """
     from matplotlib.text import Text
     from matplotlib.transforms import Bbox
 
@@ -296,29 +300,97 @@ def _write_labels(axes: "Axes", labels: Sequence[tuple[float, float, Sequence[st
     between = (curves[:-1] + shares * np.diff(curves, axis=0)).reshape(-1, 2)
     # Points within one pixel count once.
     between = np.unique(np.round(between[np.isfinite(between).all(axis=1)]), axis=0)
-    taken: list[Bbox] = []
+    tried, written = [], []
     for x_nm, force_nn, texts in labels:
         label = axes.annotate(
             "\n".join(texts), (x_nm, force_nn), xytext=(0, 0), textcoords="offset points", ha="center", va="center",
             fontsize=8, arrowprops={"arrowstyle": "->", "lw": 0.6, "shrinkB": 1.0},
         )  # fmt: skip
+        written.append(label)
         size, point = Text.get_window_extent(label), axes.transData.transform((x_nm, force_nn))
 
-        def beside(distance_pt: float, degrees: float, size: Bbox = size, point: Series = point) -> Bbox:
+        def beside(distance_pt: float, degrees: float, size: Bbox = size, point: Series = point) -> _Place:
             # The box is beyond the distance sideways, and centred above or below the point.
             across, up = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
             x = point[0] + per_point * distance_pt * across + 0.5 * size.width * (across - 1.0)
             y = point[1] + per_point * distance_pt * up - 0.5 * size.height
-            return Bbox.from_bounds(x, y, size.width, size.height).padded(2.0)
-
-        def faults(box: Bbox) -> tuple[bool, int, int]:
+            box = Bbox.from_bounds(x, y, size.width, size.height).padded(2.0)
             outside = box.x0 < frame.x0 or box.x1 > frame.x1 or box.y0 < frame.y0 or box.y1 > frame.y1
-            return outside, sum(map(box.overlaps, taken)), box.count_contains(between)
+            return _Place(outside, box.count_contains(between), box, point)
 
-        # Among equally good places, the first is the nearest.
-        best = min((beside(*place) for place in product(_LABEL_PT, _LABEL_DEGREES)), key=faults)
-        taken.append(best)
-        label.set_position(tuple(((best.get_points().mean(axis=0) - point) / per_point).tolist()))
+        tried.append([beside(*place) for place in product(_LABEL_PT, _LABEL_DEGREES)])
+    for label, place in zip(written, _arranged(tried), strict=True):
+        away = place.box.get_points().mean(axis=0) - place.point
+        label.set_position(tuple((away / per_point).tolist()))
+
+
+@dataclass(frozen=True, eq=False)
+class _Place:
+    """A place of a label [pixel]: whether it is outside, what it hides of curves, its box, the point of its arrow."""
+
+    outside: bool
+    hidden: int
+    box: Any
+    point: Series
+
+    def arrow(self) -> Series:
+        """Return points along the arrow, shape (33, 2)."""
+        middle = self.box.get_points().mean(axis=0)
+        return np.asarray(middle + np.linspace(0.0, 1.0, 33)[:, None] * (self.point - middle))
+
+    def meets(self, other: "_Place") -> bool:
+        """Return whether text or arrow of two labels meet."""
+        own, others = self.arrow(), other.arrow()
+        return bool(
+            self.box.overlaps(other.box)
+            or self.box.count_contains(others)
+            or other.box.count_contains(own)
+            or _cross(own[[0, -1]], others[[0, -1]])
+        )
+
+
+def _arranged(tried: Sequence[Sequence[_Place]]) -> list[_Place]:
+    """Return a place for each label, of those that are tried for it, the nearest first.
+
+    The first arrangement in which no two labels meet is taken: one that hides no curve, else one inside the panel.
+    Where there is none, each label has the place with the fewest faults beside those before it.
+    """
+    meets = cache(_Place.meets)
+
+    def beside(chosen: list[_Place], allowed: Sequence[Sequence[_Place]]) -> list[_Place] | None:
+        if len(chosen) == len(allowed):
+            return chosen
+        free = (place for place in allowed[len(chosen)] if not any(meets(place, other) for other in chosen))
+        return next((found for place in free if (found := beside([*chosen, place], allowed)) is not None), None)
+
+    inside = [[place for place in places if not place.outside] for places in tried]
+    for allowed in ([[place for place in places if not place.hidden] for places in inside], inside):
+        if (found := beside([], allowed)) is not None:
+            return found
+    chosen: list[_Place] = []
+    for places in tried:
+        faults = [
+            (
+                place.outside,
+                sum(place.box.overlaps(other.box) for other in chosen),
+                sum(meets(place, other) for other in chosen),
+                place.hidden,
+            )
+            for place in places
+        ]
+        chosen.append(places[faults.index(min(faults))])
+    return chosen
+
+
+def _cross(one: Series, other: Series) -> bool:
+    """Return whether two lines between points, shape (2, 2), cross; a point in common does not count."""
+
+    def side(line: Series, point: Series) -> float:
+        (x, y), (x_end, y_end) = line
+        return float(np.sign((x_end - x) * (point[1] - y) - (y_end - y) * (point[0] - x)))
+
+    parted = side(one, other[0]) * side(one, other[1]), side(other, one[0]) * side(other, one[1])
+    return max(parted) < 0.0
 
 
 def _legend_above(axes: "Axes") -> None:

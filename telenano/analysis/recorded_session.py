@@ -46,7 +46,7 @@ from telenano.recording.multi_file import RecordingSource
 from telenano.recording.silence import HAND, LONGEST_STEP_S, Break, breaks_of, ends_of, joined, running_of, sent_of
 from telenano.recording.site_clock import Timeline
 from telenano.sections.afm_parts import SafetyConfig
-from telenano.sections.afm_section import AfmConfig
+from telenano.sections.afm_section import RecordedAfmConfig
 from telenano.sections.controller_section import KNOWN_LAWS, ControllerConfig
 from telenano.sections.hand_section import LimitsConfig, recorded_hand
 from telenano.sections.operator_section import ForceProfileConfig, InteractiveConfig
@@ -355,7 +355,7 @@ def _knows_contact(document: Scenario, separation_m: Series) -> bool:
 def _sample_facts(document: Scenario, origin: str) -> SampleFacts:
     """Return the facts on the sample in a scenario, few if its section cannot be read, as without a package."""
     try:
-        return SampleFacts.of(validate(AfmConfig, document.afm_node, origin, "afm_node"))
+        return SampleFacts.of(validate(RecordedAfmConfig, document.afm_node, origin, "afm_node"))
     except ConfigError:
         feel = document.afm_node.get("feel")
         return SampleFacts(no_force="what is felt is no force on the tip" if feel else "")
@@ -391,7 +391,7 @@ def _stated_noise(document: Scenario, facts: Mapping[str, Any]) -> Noise | None:
     if any("afm_node." in change for change in facts["changed"]):
         return None
     try:
-        return stated_noise(AfmConfig.model_validate(document.afm_node), facts["parameters"]["force_scale"])
+        return stated_noise(RecordedAfmConfig.model_validate(document.afm_node), facts["parameters"]["force_scale"])
     except ValueError:
         return None
 

@@ -17,12 +17,11 @@ def stated_noise(section: AfmConfig, force_scale: float) -> Noise | None:
     from telenano.afm.disturbances import BOLTZMANN_J_PER_K, noise_start
 
     known, cantilever = section.disturbances, section.cantilever
-    volts_per_m = section.to_params().plant.volts_per_m
     white_m2 = flicker_m2 = 0.0
     if known.thermal.enabled:
         white_m2 += BOLTZMANN_J_PER_K * known.thermal.temperature_k / cantilever.stiffness_n_per_m
     if known.readout.enabled:
-        white_m2 += (known.readout.white_v / volts_per_m) ** 2
-        flicker_m2 = (known.readout.flicker_v / volts_per_m) ** 2 / len(noise_start().flicker)
+        white_m2 += (known.readout.white_v / cantilever.volts_per_m) ** 2
+        flicker_m2 = (known.readout.flicker_v / cantilever.volts_per_m) ** 2 / len(noise_start().flicker)
     scale = force_scale * cantilever.stiffness_n_per_m
     return Noise(scale * math.sqrt(white_m2), (scale * scale * flicker_m2,))

@@ -4,6 +4,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
+from telenano.afm.cantilever import volts_per_m
 from telenano.afm.contact.capillary import meniscus_radius_m
 from telenano.afm.torsion import TorsionParams
 from telenano.settings.config import Settings
@@ -27,6 +28,11 @@ class CantileverConfig(Settings):
     sensitivity_per_m: float = Field(
         1e3, gt=0.0, le=1e9, description="Relative change of resistance per deflection Sc [1/m]; 1e3 is 1e-6 per nm."
     )
+
+    @property
+    def volts_per_m(self) -> float:
+        """The gain of the read-out, Eq. 3 [V/m]."""
+        return volts_per_m(self.bridge_supply_v, self.amplifier_gain, self.sensitivity_per_m)
 
 
 # H and omega are measured separately, and the H of Table 2 is 2.6 times the one that follows from its omega. A factor

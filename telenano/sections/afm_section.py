@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 
 from pydantic import ConfigDict, Field, create_model, model_validator
 
-from telenano.afm.cantilever import Plant, build_plant, volts_per_m
+from telenano.afm.cantilever import Plant, build_plant
 from telenano.afm.contact.friction import FrictionParams, adhesion_n
 from telenano.afm.contact.maugis_dugdale import reduced_modulus_pa
 from telenano.afm.contact.tip_sample import AS_PRINTED, CONSISTENT, TipSampleProperties, build_tip_sample, hamaker_of
@@ -197,6 +197,10 @@ class _OwnSections(Settings):
             self._check_map(self.sample.map)
         if self.torsion != TorsionConfig():
             self._check_torsion()
+        return self
+
+    @model_validator(mode="after")
+    def _has_model(self) -> Self:
         # Some combinations have no model (E7): build the parameters here, so that reading the file fails and not the
         # first step.
         self.to_params()
@@ -287,8 +291,7 @@ class _OwnSections(Settings):
         """
         assert self.sample is not None and self.sample.map is not None
         c, limits, (x_m, y_m) = self.cantilever, self.to_guard(), self.places_m
-        gain = volts_per_m(c.bridge_supply_v, c.amplifier_gain, c.sensitivity_per_m)
-        sample = over_map(Path(self.sample.map), self.rest_distance_m, c.stiffness_n_per_m, gain)
+        sample = over_map(Path(self.sample.map), self.rest_distance_m, c.stiffness_n_per_m, c.volts_per_m)
         text = (
             f"recorded map {sample.about}; the tip stays within x ± {x_m:.3g} m, y ± {y_m:.3g} m and with its base from"
             f" {limits.base_min_m:.3g} to {limits.base_max_m:.3g} m"
@@ -422,8 +425,8 @@ class _OwnSections(Settings):
             reading=AS_PRINTED if self.mode == "as_printed" else CONSISTENT,
             meniscus=self.meniscus,
         )
-        gain = volts_per_m(c.bridge_supply_v, c.amplifier_gain, c.sensitivity_per_m)
-        plant = _plant(properties, _TABLE_REACH * s.force_limit_n, c.stiffness_n_per_m, self.rest_distance_m, gain)
+        reach_n = _TABLE_REACH * s.force_limit_n
+        plant = _plant(properties, reach_n, c.stiffness_n_per_m, self.rest_distance_m, c.volts_per_m)
         return AfmParams(self.to_guard(), plant)
 
     def to_lockstep_params(self, origin: str, duration_s: float) -> AfmParams:
@@ -511,6 +514,14 @@ class AfmConfig(_PackageSections):
 
     driver: DriverName = _DRIVER
     environment: EnvironmentName = _ENVIRONMENT
+
+
+class RecordedAfmConfig(AfmConfig):
+    """The AFM of a session that ran: its model was built then, and who reads the recording needs only its settings."""
+
+    @model_validator(mode="after")
+    def _has_model(self) -> Self:
+        return self
 
 
 # Cached, because a configuration is built when it is read and again by the process that runs it.

@@ -11,7 +11,7 @@ COMMANDS = {
     ),
     "compare": (
         "telenano_lab.studies.compare_command:compare",
-        "Draw sessions over one another, with one table.",
+        "Draw sessions beside one another, with one table.",
     ),
     "study": (
         "telenano_lab.studies.study_command:app",

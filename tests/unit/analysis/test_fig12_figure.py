@@ -1,6 +1,7 @@
 """Fig. 12 draws what a recording states: where contact and meniscus begin and end, and the path under the hand."""
 
 from dataclasses import replace
+from itertools import combinations, product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,6 +9,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 from figure_layout import arrows, faults
+from matplotlib.axes import Axes
+from matplotlib.path import Path as Line
 from matplotlib.text import Text
 
 from telenano.analysis import Session
@@ -121,7 +124,50 @@ def test_labels_stand_where_the_states_change_and_the_panel_ends_where_the_path_
     boxes = [Text.get_window_extent(text) for text in path.texts]
     assert all(frame.x0 <= box.x0 and box.x1 <= frame.x1 for box in boxes)
     assert all(frame.y0 <= box.y0 and box.y1 <= frame.y1 for box in boxes)
-    assert not any(one.overlaps(other) for place, one in enumerate(boxes) for other in boxes[place + 1 :])
+    assert not any(one.overlaps(other) for one, other in combinations(boxes, 2))
+
+
+def meetings(panel: Axes) -> list[tuple[str, str]]:
+    """Return the pairs of labels of a drawn panel whose texts or arrows meet."""
+    boxes = [Text.get_window_extent(text) for text in panel.texts]
+    ways = [text.arrow_patch.get_path().transformed(text.arrow_patch.get_transform()) for text in panel.texts]
+    return [
+        (panel.texts[one].get_text(), panel.texts[other].get_text())
+        for one, other in combinations(range(len(boxes)), 2)
+        if boxes[one].overlaps(boxes[other])
+        or ways[one].intersects_bbox(boxes[other], filled=False)
+        or ways[other].intersects_bbox(boxes[one], filled=False)
+        or lines_of(ways[one]).intersects_path(lines_of(ways[other]), filled=False)
+    ]
+
+
+def lines_of(way: Line) -> Line:
+    """Return the line of an arrow without its head: two heads may lie over one another at one place of the curve."""
+    return Line(way.vertices[:3])
+
+
+# One column of a journal has no room for the four labels of the largest swing.
+@pytest.mark.parametrize(
+    ("swing_nm", "style"),
+    [*product((0.5, 1.5, 2.5), ("screen", "paper")), (4.0, "screen")],
+)
+def test_no_arrow_or_text_meets_another_where_the_tip_swings(swing_nm: float, style: str) -> None:
+    time_s = np.arange(0.0, 4.0, 1e-3)
+    begin = np.linspace(10.0, 0.3, 1000)
+    distance_nm = np.concatenate([begin, 0.3 + swing_nm * np.sin(2.0 * np.pi * 4.0 * time_s[:3000])])
+    contact = distance_nm < 0.25
+    # it forms at 2.4 nm and breaks at 3.2 nm
+    wet = np.zeros(len(time_s), dtype=bool)
+    for index, each_nm in enumerate(distance_nm):
+        wet[index] = each_nm < (3.2 if index and wet[index - 1] else 2.4)
+    force_n = 1e-9 * np.where(contact, -12.0 + 20.0 * np.abs(0.25 - distance_nm) ** 1.5, np.where(wet, -6.0, 0.0))
+    states = TipStates(np.ones_like(wet), np.zeros_like(wet), contact, wet)
+    still = np.zeros_like(time_s)
+    series = SessionSeries(time_s, still, still, time_s, still, time_s, force_n, 1e-9 * distance_nm, 1e8, states=states)
+    figure = draw_fig12(series, "a limit cycle", FigureOptions.of("png", style))
+    figure.draw_without_rendering()
+    assert len(figure.axes[2].texts) == (4 if swing_nm > 3.0 else 3)
+    assert meetings(figure.axes[2]) == []
 
 
 @pytest.mark.check("takes 0.5 s")

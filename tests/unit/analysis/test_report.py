@@ -24,6 +24,7 @@ from telenano.recording.multi_file import open_recordings
 from telenano.recording.reader import Recording
 from telenano.recording.rewrite import filter_recording
 from telenano.recording.silence import cut_off
+from telenano.sections import afm_section
 from telenano.wire.errors import ReportError
 
 
@@ -40,6 +41,15 @@ def whole(session: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[dict
     found = write_report(session, out, show=steps.append), (out / "fig12.png").read_bytes()
     assert [step.partition(":")[0] for step in steps] == [f"{n} of 3" for n in (1, 2, 3)]
     return found
+
+
+@pytest.mark.check("takes 1 s")
+def test_a_report_builds_no_model_of_the_instrument(
+    session: Path, whole: tuple[dict[str, Any], bytes], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    afm_section._plant.cache_clear()
+    monkeypatch.setattr(afm_section, "build_tip_sample", lambda *given: pytest.fail("the session that ran built it"))
+    assert write_report(session, tmp_path) == whole[0]
 
 
 @pytest.fixture(scope="module")

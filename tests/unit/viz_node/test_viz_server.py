@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import msgspec
 import pytest
 from bus_page import ACCESS, HEADERS
 from bus_page import BusPage as Page
@@ -25,13 +26,15 @@ from starlette.websockets import WebSocketDisconnect
 
 from services.viz_node import command_desk, page_hand, read_desk, server
 from services.viz_node import hub as hubs
-from services.viz_node.feed import SeenMessage
+from services.viz_node.feed import SeenMessage, seen
 from services.viz_node.hub import Hub
 from services.viz_node.page_session import MOST_QUEUED, Session
 from services.viz_node.requests import CommandRequest, EstopRequest, HandRequest, LeaseRequest
 from telenano.sections.operator_section import InteractiveConfig
 from telenano.serving.access import Role
+from telenano.testing.filled_messages import examples
 from telenano.wire.errors import RigError
+from telenano.wire.topics import TOPICS
 
 
 class Commander:
@@ -73,6 +76,9 @@ class Hand:
 
     def push(self, force_n: float, across_n: tuple[float, float], by: str) -> None:
         self.log.append((force_n, *across_n) if any(across_n) else force_n)
+
+    def now_ns(self) -> int:
+        return 5_250_000_000
 
     def close(self) -> None:
         self.log.append("closed")
@@ -672,6 +678,30 @@ def test_a_force_that_waited_or_was_overtaken_is_dropped_and_counted_and_a_hand_
     assert rig.hand[-1] == 0.0
     (frame,) = [msgpack.unpackb(frame) for frame in session._answers]
     assert frame == {"k": "hand", "held": True, "text": "", "late_s": pytest.approx(0.15)}
+
+
+@pytest.mark.parametrize("role", Role)
+def test_a_force_of_an_operator_that_counts_is_answered_with_the_newest_that_is_felt_and_its_age(
+    rig: Rig, role: Role
+) -> None:
+    session = Session(role)
+
+    def answered(number: int, stamp_s: float) -> list[dict[str, Any]]:
+        session._answers.clear()
+        rig.hub._push(session, HandRequest(1.0, True, number=number, stamp_s=stamp_s))
+        frames = [msgpack.unpackb(frame) for frame in session._answers]
+        return [frame for frame in frames if frame["k"] == "felt"]
+
+    assert answered(1, 7.0) == []
+    for sent_ns, felt_n in ((4_000_000_000, 1.0), (5_000_000_000, -2.5)):
+        command = examples(TOPICS["haptic/command"])["ordinary"]
+        said = msgspec.structs.replace(command, t_ns=sent_ns, src="controller@master", force_n=(0.5, 0.25, felt_n))
+        rig.source.waiting.append(seen("haptic/command", said.src, sent_ns, said))
+    felt = {"k": "felt", "force_n": -2.5, "age_s": 0.25, "number": 3, "stamp_s": 7.1}
+    assert answered(3, 7.1) == ([felt] if role is Role.OPERATOR else [])
+    # One that was overtaken, and one that cannot be told from others by its time, are not.
+    assert answered(2, 7.1) == []
+    assert answered(4, 0.0) == []
 
 
 def test_the_server_ends_with_a_source_that_cannot_be_read(

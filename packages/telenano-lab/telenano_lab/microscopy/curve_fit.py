@@ -49,6 +49,8 @@ _NEXT_TO_END = {DMT: 0.02, JKR: 0.1}
 _BEFORE_JUMP, _BEHIND_JUMP = 24, 120
 # A load, a pull or a jump counts as seen where it exceeds its noise by this factor.
 _SEEN = 6.0
+# A load or a pull is beyond the zero line, which is continued to its place, by this multiple of the error of that line.
+_ZERO_ERRORS = 3.0
 # A fit is refused where the modulus changes over the depth by more than this share and by more than so many errors.
 _LEAST_CHANGE, _CHANGE_ERRORS = 0.1, 4.0
 # A smaller change of more than so many errors is added to the errors of contact point and modulus.
@@ -191,9 +193,11 @@ def _fitted(curve: MeasuredWays, shape: ContactShape) -> CurveFit:
     approach_m, approach_n = _near(curve.approach_m, curve.approach_n)
     approach = _way(approach_m[::-1], approach_n[::-1], "approach")
     retract = _way(*_near(curve.retract_m, curve.retract_n), "retraction") if len(curve.retract_m) else None
-    zero_n, noise_n = _free_end(approach, turned=False)
-    load_n = float(approach.force_n.max()) - zero_n
-    if not load_n > _SEEN * noise_n:
+    most = int(np.argmax(approach.force_n))
+    free_end = slice(0, max(int(_FREE_SHARE * len(approach.base_m)), _LEAST_POINTS))
+    zero_n, error_n, noise_n = _zero_line(approach, free_end, float(approach.base_m[most]))
+    load_n = float(approach.force_n[most]) - zero_n
+    if not load_n > max(_SEEN * noise_n, _ZERO_ERRORS * error_n):
         raise _RefusedError(
             f"it does not touch: it presses with {1e9 * load_n:.2g} nN, and its noise is {1e9 * noise_n:.2g} nN"
         )
@@ -320,15 +324,24 @@ def _line(x: Array, y: Array) -> tuple[float, float, float]:
     return mean_y, slope, math.sqrt(math.fsum((left * left).tolist()) / max(n - 2, 1))
 
 
-def _free_end(way: _Way, *, turned: bool) -> tuple[float, float]:
-    """Return the zero of the force and its noise [N], from the end of a branch that is away from the sample.
+def _zero_line(way: _Way, part: slice, at_m: float) -> tuple[float, float, float]:
+    """Return the zero of the force at a place of the base, its error, and the noise [N], by the line of a free part."""
+    base = way.base_m[part]
+    mean, slope, noise = _line(base, way.force_n[part])
+    middle = math.fsum(base.tolist()) / len(base)
+    away, spread = at_m - middle, math.fsum(((base - middle) ** 2).tolist())
+    error = noise * math.sqrt(1.0 / len(base) + (away * away / spread if spread > 0.0 else 0.0))
+    return mean + slope * away, error, noise
 
-    turned: True for a retraction, whose free end comes last.
-    """
-    count = max(int(_FREE_SHARE * len(way.base_m)), _LEAST_POINTS)
-    part = slice(-count, None) if turned else slice(0, count)
-    zero, _, noise = _line(way.base_m[part], way.force_n[part])
-    return zero, noise
+
+def _behind(pull: int, count: int) -> int:
+    """Return from which point on a retraction is free: near its jump the lever may ring, or the tip be attracted."""
+    return pull + 1 + max(round(0.2 * (count - pull)), 1)
+
+
+def _free_end(pull: int, count: int) -> slice:
+    """Return the end of a retraction whose line is its zero: a quarter, and no point in front of or near its jump."""
+    return slice(min(max(count - int(_FREE_SHARE * count), _behind(pull, count)), count - _LEAST_POINTS), count)
 
 
 def _refuse_flat(force_n: Array, noise_n: float) -> None:
@@ -370,20 +383,17 @@ class _Pull(NamedTuple):
 
 def _pulling(way: _Way, model: str) -> tuple[_Way, npt.NDArray[np.bool_], _Pull]:
     """Return the contact up to shortly before the pull-off plus the free end, a mask of the contact, the pull-off."""
-    zero_n, noise_n = _free_end(way, turned=True)
-    pull = _last_in_contact(way)
-    depth = zero_n - math.fsum(way.force_n[max(pull - 2, 0) : pull + 1].tolist()) / min(3, pull + 1)
-    if not depth > _SEEN * noise_n / math.sqrt(3.0):
-        raise _RefusedError(f"its retraction has no pull-off, which {model} needs: take hertz or sneddon")
-    last = max(round((1.0 - _LEFT_OUT) * pull), 0)
-    count = len(way.base_m)
-    # Points just behind the jump are left out: there the lever may ring, and nearer to the sample the tip is attracted.
-    first = pull + 1 + max(round(0.2 * (count - pull)), 1)
+    pull, count = _last_in_contact(way), len(way.base_m)
+    last, first = max(round((1.0 - _LEFT_OUT) * pull), 0), _behind(pull, count)
     if last < _LEAST_POINTS or count - first < _LEAST_POINTS:
         raise _RefusedError(
             f"its retraction has {last} points in contact before the pull-off and {max(count - first, 0)} far from the"
             f" sample; {_LEAST_POINTS} of each are needed"
         )
+    zero_n, error_n, noise_n = _zero_line(way, _free_end(pull, count), float(way.base_m[pull]))
+    depth = zero_n - math.fsum(way.force_n[max(pull - 2, 0) : pull + 1].tolist()) / min(3, pull + 1)
+    if not depth > max(_SEEN * noise_n / math.sqrt(3.0), _ZERO_ERRORS * error_n):
+        raise _RefusedError(f"its retraction has no pull-off, which {model} needs: take hertz or sneddon")
     kept = np.r_[0 : last + 1, first:count]
     end = _Pull(*(math.fsum(each[pull - 2 : pull + 1].tolist()) / 3.0 for each in (way.base_m, way.force_n)))
     return _Way(way.base_m[kept], way.force_n[kept], way.place[kept], way.over), kept <= last, end
@@ -450,10 +460,10 @@ def _pull_at_jump(curve: MeasuredWays, tilt_n_per_m: float, tilt_error_n_per_m: 
     base, force = -curve.retract_m[sound], curve.retract_n[sound]
     force = force - tilt_n_per_m * (base - base[-1])
     way = _Way(base, force, np.arange(len(base), dtype=np.float64), 1)
-    _, noise_n = _free_end(way, turned=True)
     last, count, width = _last_in_contact(way), len(force), 4
     before = np.arange(max(last - min(_BEFORE_JUMP, max(count // 30, 10)) + 1, 0), last + 1)
     behind = np.arange(last + 1, min(last + 1 + _BEHIND_JUMP, count))
+    noise_n = _zero_line(way, _free_end(last, count), float(base[last]))[2]
     least_n = _SEEN * noise_n * math.sqrt(0.5)
     lowest = _lowest(force, width)
     doubt_n = tilt_error_n_per_m * abs(float(base[lowest] - base[-1]))

@@ -49,7 +49,7 @@ def compare(
     same_session: SameSessionOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Draw sessions over one another, and put their figures into one table; with statistics where seeds differ."""
+    """Draw sessions beside one another, and put their figures into one table; with statistics where seeds differ."""
     with report_errors(as_json):
         from telenano_lab.studies.comparison import sessions_in
 

@@ -23,6 +23,7 @@ from telenano_lab.studies.repetitions import conditions_of, repetitions
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.gridspec import GridSpec
 
 # The columns of a table, in this order: key of a summary, heading with its unit.
 _COLUMNS = (
@@ -51,7 +52,7 @@ _SAID = re.compile(r"controller\.law|delay_node\..*delay_s|delay_node\.profile")
 _AXES = (
     ("time (s)", r"$\alpha_f F_s$ (N)"),
     ("time (s)", r"$x_m$ (cm)"),
-    ("tip-sample distance h (nm)", r"$F_s$ (nN)"),
+    ("distance h (nm)", r"$F_s$ (nN)"),
 )
 # The number of conditions that have their panels in one figure.
 _ON_A_PAGE = 24
@@ -60,9 +61,12 @@ _WIDE = 48
 # The margin beyond the curves at each end of an ordinate, as a share of its span.
 _MARGIN = 0.08
 # The least force that the panel of force against distance shows to its end, as a share of the greatest of its session,
-# and the margin beyond it, as a share of the span.
+# the least change that panels over time do, as a share of the span, and the margin beyond distances, as one of theirs.
 _FELT = 0.02
 _MARGIN_OF_DISTANCE = 0.25
+# The place of F_m among the curves of a session.
+_HAND_FORCE = 3
+_REFERENCE: dict[str, Any] = {"color": FigureOptions.REFERENCE, "lw": 2.4, "zorder": 0}
 _LEAVES = "diverges, beyond the axes"
 
 
@@ -169,7 +173,7 @@ def _known(values: Sequence[float]) -> list[float | None]:
 
 
 class Drawn(NamedTuple):
-    """The curves of a session in a figure: x and y of alpha_f F_s and x_m over time, and of F_s against h."""
+    """The curves of a session in a figure, x and y of each: alpha_f F_s and x_m over time, F_s against h, F_m."""
 
     diverged: bool
     curves: tuple[tuple[Floats, Floats], ...]
@@ -185,6 +189,7 @@ class Drawn(NamedTuple):
                 (series.tip_time_s, series.force_scale * series.tip_force_n),
                 (series.hand_time_s, 100.0 * series.hand_position_m),
                 (1e9 * path.separation_m, 1e9 * path.force_n),
+                (series.hand_time_s, series.hand_force_n),
             ),
         )
 
@@ -253,12 +258,12 @@ def compare_figures(
 ) -> "list[Figure]":
     """Draw sessions for comparison: each condition has a colour, and each of its sessions is a thin line.
 
-    Up to six conditions are drawn over one another in two panels, alpha_f F_s with F_m of the first session for
-    reference, and x_m. F_s against h lies on one curve of the sample whatever the condition, so each condition has a
-    panel with it, all with the same axes, over the path of the first. With more than six conditions each has a panel
-    with alpha_f F_s alone, all with the same axes, in as many figures as needed. A session that diverged is dotted and
-    does not stretch the axes of the others; a cross marks where it leaves them. Published points are drawn beneath,
-    with their errors.
+    Each condition has a panel with alpha_f F_s and its F_m, all with the same axes, because a swing hides the curves
+    that rest. With up to six conditions follow one panel with x_m of all, in which they differ by offsets, and for each
+    condition a panel with F_s against h, which lies on one curve of the sample whatever the condition, over the path of
+    the first. More than six conditions have their forces alone, in as many figures as needed. Times begin and end with
+    what happens, distances where no force is left. A session that diverged is dotted and does not stretch the axes of
+    the others; a cross marks where it leaves them. Published points are drawn beneath, with their errors.
     """
     from matplotlib.figure import Figure
 
@@ -266,81 +271,74 @@ def compare_figures(
     drawn = [[Drawn.of(session) for session in condition.sessions] for condition in conditions]
     everyone = [one for several in drawn for one in several]
     limits = [_limits([(one.curves[place][1], one.diverged) for one in everyone]) for place in range(len(_AXES))]
-    with options.styled():
-        if len(conditions) > len(LINES):
-            parts = (slice(first, first + _ON_A_PAGE) for first in range(0, len(conditions), _ON_A_PAGE))
-            return [_multiples(conditions[part], drawn[part], options, published, limits[0]) for part in parts]
-        paper = options.style == "paper"
-        columns = min(len(conditions), 2 if paper else 3)
-        rows = math.ceil(len(conditions) / columns)
-        width, height = (FigureOptions.COLUMN_IN, 2.2) if paper else (7.6, 3.1)
-        figure = Figure(figsize=(width, height * (2 + rows)), layout="constrained")
-        grid = figure.add_gridspec(2 + rows, columns)
-        force, position = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, :])
-        paths: list[Axes] = []
-        for number in range(len(conditions)):
-            beside = paths[0] if paths else None
-            own_place = grid[2 + number // columns, number % columns]
-            paths.append(figure.add_subplot(own_place, sharex=beside, sharey=beside))
-        _draw_reference(force, sessions[0], f"$F_m$, {sessions[0].name}", 2.4)
-        for condition, own, look, path in zip(conditions, drawn, looks(len(conditions)), paths, strict=True):
-            _draw([force, position, path], own, look, f"{condition.label}: {condition.outcome}")
-            if path is not paths[0]:
-                path.plot(*drawn[0][0].curves[2], color=FigureOptions.REFERENCE, lw=2.4, zorder=0)
-            _limit(path, own, 2, limits[2])
-            _draw_published([path], published, first=2)
-        _draw_published([force, position], published)
-        for place, panel in enumerate((force, position)):
-            _limit(panel, everyone, place, limits[place])
-        _limit_distance(paths[0], everyone)
-        panels = [force, position, *paths]
-        for panel, (x, y) in zip(panels, (*_AXES[:2], *(_AXES[2:] * len(paths))), strict=True):
-            panel.set(xlabel=x, ylabel=y)
-        for number, path in enumerate(paths):
-            if columns > 1:
-                path.set_xlabel("distance h (nm)")
-            if number % columns:
-                path.set_ylabel("")
-                path.tick_params(labelleft=False)
-        options.lettered(panels)
-        _legend(figure, panels, 1 if paper else 2)
-    return [figure]
-
-
-def _multiples(
-    conditions: Sequence[Condition],
-    drawn: Sequence[Sequence[Drawn]],
-    options: FigureOptions,
-    published: Sequence[PublishedPoints],
-    limits: Limits,
-) -> "Figure":
-    """Draw a panel for each condition, with alpha_f F_s of its sessions and F_m of the first for reference."""
-    from matplotlib.figure import Figure
-
     paper = options.style == "paper"
-    columns = 2 if paper else 3
-    rows = math.ceil(len(conditions) / columns)
-    width = FigureOptions.COLUMN_IN if paper else 10.0
-    figure = Figure(figsize=(width, 0.6 + 1.8 * rows), layout="constrained")
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for panel in grid.flat[len(conditions) :]:
-        panel.set_axis_off()
-    for panel, condition, own in zip(grid.flat, conditions, drawn, strict=False):
-        _draw_reference(panel, condition.sessions[0], "$F_m$", 2.0)
-        _draw([panel], own, Look("#0072b2", "-", "o"), r"$\alpha_f F_s$")
-        _draw_published([panel], published)
-        _limit(panel, own, 0, limits)
-        # A title wider than its panel would overlap the next one.
-        lines = textwrap.wrap(f"{condition.label}: {condition.outcome}", 30 if paper else 44)
-        panel.set_title("\n".join(lines), loc="left", fontsize=6 if paper else 8)
-    for panel in grid[:, 0]:
-        panel.set_ylabel("force (N)")
-    for column in range(min(columns, len(conditions))):
-        lowest = grid[(len(conditions) - 1 - column) // columns, column]
-        lowest.set_xlabel("time (s)")
-        lowest.tick_params(labelbottom=True)
-    _legend(figure, list(grid.flat), 3)
-    return figure
+    if len(conditions) > len(LINES):
+        columns, width, height = (2, FigureOptions.COLUMN_IN, 1.8) if paper else (3, 10.0, 1.8)
+    else:
+        columns, width, height = (2, FigureOptions.COLUMN_IN, 2.0) if paper else (3, 9.0, 2.6)
+    columns = min(len(conditions), columns)
+    figures = []
+    with options.styled():
+        for first in range(0, len(conditions), _ON_A_PAGE):
+            own = slice(first, first + _ON_A_PAGE)
+            shown = conditions[own]
+            rows = math.ceil(len(shown) / columns)
+            several = len(conditions) > len(LINES)
+            figure = Figure(figsize=(width, 0.6 + height * (rows if several else 2 * rows + 1)), layout="constrained")
+            grid = figure.add_gridspec(rows if several else 2 * rows + 1, columns)
+            forces = _panels(figure, grid, 0, len(shown))
+            colours = [Look("#0072b2", "-", "o")] * len(shown) if several else looks(len(shown))
+            for panel, curves, look in zip(forces, drawn[own], colours, strict=True):
+                panel.plot(*curves[0].curves[_HAND_FORCE], label="$F_m$", **_REFERENCE)
+                _draw(panel, 0, curves, look._replace(style="-"), r"$\alpha_f F_s$" if several else None)
+                _draw_published([panel], published)
+                _limit(panel, curves, 0, limits[0])
+            _describe(forces, columns, *_AXES[0])
+            panels = list(forces)
+            if not several:
+                position = figure.add_subplot(grid[rows, :], sharex=forces[0])
+                paths = _panels(figure, grid, rows + 1, len(shown))
+                for path, condition, curves, look in zip(paths, shown, drawn, colours, strict=True):
+                    _draw(position, 1, curves, look, f"{condition.label}: {condition.outcome}")
+                    _draw(path, 2, curves, look._replace(style="-"), None)
+                    if path is not paths[0]:
+                        path.plot(*drawn[0][0].curves[2], **_REFERENCE)
+                    _limit(path, curves, 2, limits[2])
+                    _draw_published([path], published, first=2)
+                _draw_published([position], published, first=1)
+                _limit(position, everyone, 1, limits[1])
+                _limit_distance(paths[0], everyone, published)
+                _describe([position], 1, *_AXES[1])
+                _describe(paths, columns, *_AXES[2])
+                panels += [position, *paths]
+                options.lettered(panels)
+            _limit_time(forces[0], everyone, published)
+            for panel, condition in zip(forces, shown, strict=True):
+                # A title wider than its panel would overlap the next one.
+                title = f"{panel.get_title(loc='left')} {condition.label}: {condition.outcome}".strip()
+                lines = textwrap.wrap(title, 28 if paper else 40)
+                panel.set_title("\n".join(lines), loc="left", fontsize=6 if paper else 9)
+            _legend(figure, panels, 1 if paper else columns)
+            figures.append(figure)
+    return figures
+
+
+def _panels(figure: "Figure", grid: "GridSpec", row: int, count: int) -> "list[Axes]":
+    """Add panels with the same axes to the rows of a grid from one on."""
+    panels: list[Axes] = []
+    for number in range(count):
+        first = panels[0] if panels else None
+        place = grid[row + number // grid.ncols, number % grid.ncols]
+        panels.append(figure.add_subplot(place, sharex=first, sharey=first))
+    return panels
+
+
+def _describe(panels: "Sequence[Axes]", columns: int, x: str, y: str) -> None:
+    """Name the axes at the left and the lower edge of panels that share them."""
+    for number, panel in enumerate(panels):
+        is_left, is_lowest = number % columns == 0, number + columns >= len(panels)
+        panel.set(xlabel=x if is_lowest else "", ylabel=y if is_left else "")
+        panel.tick_params(labelleft=is_left, labelbottom=is_lowest)
 
 
 def _legend(figure: "Figure", panels: "Sequence[Axes]", columns: int) -> None:
@@ -373,21 +371,12 @@ def _draw_published(panels: "Sequence[Axes]", published: Sequence[PublishedPoint
                 )  # fmt: skip
 
 
-def _draw_reference(panel: "Axes", session: ComparedSession, label: str, width: float) -> None:
-    """Draw the force of the hand in a session, as the reference for the curves of a panel."""
-    series = session.session.series()
-    look: dict[str, Any] = {"color": FigureOptions.REFERENCE, "lw": width, "zorder": 0, "label": label}
-    panel.plot(series.hand_time_s, series.hand_force_n, **look)
-
-
-def _draw(panels: "Sequence[Axes]", drawn: Sequence[Drawn], look: Look, label: str) -> None:
-    """Draw the sessions of a condition into the panels; the first has the label."""
+def _draw(panel: "Axes", place: int, drawn: Sequence[Drawn], look: Look, label: str | None) -> None:
+    """Draw the curve at a place of the sessions of a condition into a panel; the first has the label."""
     width = 0.7 if len(drawn) > 1 else 1.0
     for number, session in enumerate(drawn):
         style = ":" if session.diverged else look.style
-        for place, (panel, (x, y)) in enumerate(zip(panels, session.curves, strict=False)):
-            named = label if number == place == 0 else None
-            panel.plot(x, y, color=look.colour, ls=style, lw=width, label=named)
+        panel.plot(*session.curves[place], color=look.colour, ls=style, lw=width, label=None if number else label)
 
 
 def _limits(curves: Sequence[tuple[Floats, bool]]) -> Limits:
@@ -400,11 +389,31 @@ def _limits(curves: Sequence[tuple[Floats, bool]]) -> Limits:
     return low - margin, high + margin
 
 
-def _limit_distance(panel: "Axes", drawn: Sequence[Drawn]) -> None:
-    """Let the panel of force against distance end where no force is left: most of an approach has none."""
+def _limit_time(panel: "Axes", drawn: Sequence[Drawn], published: Sequence[PublishedPoints]) -> None:
+    """Let the time of panels begin and end with the first and last change of any session, or published point."""
+    times = _places(published, "tip_force", "hand_force", "hand_position")
+    curves = [one.curves[place] for one in drawn for place in (0, 1, _HAND_FORCE)]
+    for x, y in curves:
+        y = np.nan_to_num(y)
+        least = _FELT * float(np.ptp(y)) if y.size else 0.0
+        if least:
+            times += [x[np.abs(y - y[0]) > least][0], x[np.abs(y - y[-1]) > least][-1]]
+    if times:
+        margin = _MARGIN * (max(times) - min(times))
+        ends = [*times, *(float(x[place]) for x, _ in curves if x.size for place in (0, -1))]
+        panel.set_xlim(max(min(ends), min(times) - margin), min(max(ends), max(times) + margin))
+
+
+def _places(published: Sequence[PublishedPoints], *names: str) -> list[float]:
+    """Return the abscissae of the published points of curves."""
+    return [point.x for file in published for name in names for point in file.of(name)]
+
+
+def _limit_distance(panel: "Axes", drawn: Sequence[Drawn], published: Sequence[PublishedPoints]) -> None:
+    """Let the panel of force against distance end where no force is left, as in most of an approach, and no point."""
     curves = [one.curves[2] for one in drawn if not one.diverged] or [one.curves[2] for one in drawn]
     felt = [x[np.abs(y) > _FELT * float(np.nanmax(np.abs(y), initial=0.0))] for x, y in curves]
-    felt_nm = np.concatenate([x[np.isfinite(x)] for x in felt])
+    felt_nm = np.concatenate([_places(published, "tip_path"), *(x[np.isfinite(x)] for x in felt)])
     if felt_nm.size:
         low, high = float(felt_nm.min()), float(felt_nm.max())
         margin = _MARGIN_OF_DISTANCE * (high - low) or 1.0

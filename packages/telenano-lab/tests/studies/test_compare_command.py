@@ -97,11 +97,13 @@ def test_a_session_that_is_given_twice_has_a_number() -> None:
 def test_the_distance_ends_where_no_force_is_left(recording_of: Callable[[str], Path]) -> None:
     sessions = compare([recording_of("wave"), recording_of("virtual_impedance")])
     [figure] = compare_figures(sessions)
-    panel = figure.axes[2]
+    panel = figure.axes[3]
     low, high = panel.get_xlim()
     for one in sessions:
         path = one.session.series().tip_path()
         felt_nm = 1e9 * path.separation_m[np.abs(path.force_n) > 0.02 * np.nanmax(np.abs(path.force_n))]
         assert low < felt_nm.min() and felt_nm.max() < high
+    # Nothing happens before the hand pushes, 0.8 s after the begin.
+    assert 0.3 < figure.axes[0].get_xlim()[0] < 0.8
     # The approach begins 10 nm away, and its first half has no force.
     assert max(1e9 * one.session.series().tip_path().separation_m.max() for one in sessions) > 1.5 * high

@@ -49,20 +49,24 @@ def curves(axes: Axes) -> list[Any]:
 
 def test_each_condition_is_a_colour_and_its_seeds_share_it() -> None:
     (figure,) = compare_figures(drawn(6, 3))
-    for panel in figure.axes[:2]:
-        seen = [(line.get_color(), line.get_linestyle()) for line in curves(panel)]
-        assert len(seen) == 18
-        assert len(set(seen)) == 6
-        assert all(len(set(seen[place : place + 3])) == 1 for place in range(0, 18, 3))
-    # Force against distance lies on one curve, so that each condition has a panel of it, on the same axes.
-    paths = figure.axes[2:]
-    assert [[line.get_color() for line in curves(panel)] for panel in paths] == [
-        [colour] * 3 for colour, _ in seen[::3]
+    forces, position, paths = figure.axes[:6], figure.axes[6], figure.axes[7:]
+    seen = [(line.get_color(), line.get_linestyle()) for line in curves(position)]
+    assert len(seen) == 18
+    assert len(set(seen)) == 6
+    assert all(len(set(seen[place : place + 3])) == 1 for place in range(0, 18, 3))
+    # A swing hides forces that rest, and force against distance lies on one curve: each condition has panels of them,
+    # on the same axes.
+    for panels in (forces, paths):
+        assert [[line.get_color() for line in curves(panel)] for panel in panels] == [
+            [colour] * 3 for colour, _ in seen[::3]
+        ]
+        assert len({(panel.get_xlim(), panel.get_ylim()) for panel in panels}) == 1
+    named = [f"wave, 20 ms, gain {number}: 3 of 3 stable" for number in range(6)]
+    assert [" ".join(panel.get_title(loc="left").split()) for panel in forces] == [
+        f"({letter}) {name}" for letter, name in zip("abcdef", named, strict=True)
     ]
-    assert len({(panel.get_xlim(), panel.get_ylim()) for panel in paths}) == 1
     (legend,) = figure.legends
-    texts = [text.get_text() for text in legend.get_texts()]
-    assert texts[1:] == [f"wave, 20 ms, gain {number}: 3 of 3 stable" for number in range(6)]
+    assert sorted(text.get_text() for text in legend.get_texts()) == sorted(["$F_m$", *named])
 
 
 @pytest.mark.parametrize(("conditions", "figures"), [(7, [7]), (24, [24]), (30, [24, 6]), (49, [24, 24, 1])])
@@ -83,7 +87,7 @@ def test_each_of_more_than_six_conditions_has_a_panel_on_axes_that_all_share(
 def test_what_diverges_is_dotted_marked_and_does_not_stretch_the_axes(conditions: int) -> None:
     (figure,) = compare_figures(drawn(conditions, 1, diverging=[2]))
     panels = [panel for panel in figure.axes if curves(panel)]
-    forces = panels if conditions > 6 else panels[:1]
+    forces = panels[:conditions]
     assert all(panel.get_ylim()[1] < 2.0 for panel in forces)
     dotted = [line for panel in forces for line in curves(panel) if line.get_linestyle() == ":"]
     crosses = [line for panel in forces for line in panel.lines if line.get_marker() == "x"]

@@ -56,8 +56,10 @@ def test_the_points_are_in_the_figure_with_their_errors(tmp_path: Path) -> None:
         [[2.0, pytest.approx(0.28)], [2.0, pytest.approx(0.32)]],
     ]  # fmt: skip
     assert distances[0][0].get_xydata().tolist() == [[5.0, -3.0]]
+    assert all(low <= x <= high for panel, x in zip(figure.axes[1:], (2.0, 5.0), strict=True)
+               for low, high in [panel.get_xlim()])  # fmt: skip
     (legend,) = figure.legends
-    assert [text.get_text() for text in legend.get_texts()] == ["$F_m$, ours", "ours: stable", "published"]
+    assert [text.get_text() for text in legend.get_texts()] == ["$F_m$", "ours: stable", "published"]
 
 
 def test_the_nearest_point_counts_in_errors() -> None:

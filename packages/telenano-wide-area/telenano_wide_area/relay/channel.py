@@ -34,6 +34,8 @@ _UNACKNOWLEDGED_MS = 10_000
 _LENGTH = struct.Struct("!H")
 _NUMBER = struct.Struct("!?Q")
 _LARGEST_FRAME = 16_384
+# Bytes in one of the frames into which longer ones are cut; nonce and tag are added.
+_PIECE_BYTES = _LARGEST_FRAME - 64
 CHUNK_BYTES = 65_536
 
 # Exceptions that end a connection without being a fault of this program.
@@ -58,20 +60,43 @@ class Channel:
 
     async def send(self, **fields: Any) -> None:
         """Send a frame."""
-        sealed = self._keys.seal(pack(fields), self._challenge + _NUMBER.pack(self._is_relay, self._sent))
+        await self._send(pack(fields))
+
+    async def _send(self, body: bytes) -> None:
+        sealed = self._keys.seal(body, self._challenge + _NUMBER.pack(self._is_relay, self._sent))
         self._sent += 1
         self.writer.write(_LENGTH.pack(len(sealed)) + sealed)
         await self.writer.drain()
 
+    async def send_bytes(self, data: bytes) -> None:
+        """Send bytes of any length, in sealed pieces."""
+        for begin in range(0, len(data), _PIECE_BYTES) or (0,):
+            more = begin + _PIECE_BYTES < len(data)
+            await self._send(bytes((more,)) + data[begin : begin + _PIECE_BYTES])
+
+    async def receive_bytes(self, most: int) -> bytes:
+        """Return what `send_bytes` sent; RejectedError for more than `most` bytes, or what was not sent here."""
+        data = bytearray()
+        while True:
+            body = await self._receive()
+            data += body[1:]
+            if len(data) > most:
+                raise RejectedError("oversized")
+            if body[:1] != b"\x01":
+                return bytes(data)
+
     async def receive(self) -> dict[str, Any]:
         """Return the next frame; RejectedError for a frame that the other side did not send at this position."""
+        return unpack(await self._receive())
+
+    async def _receive(self) -> bytes:
         (length,) = _LENGTH.unpack(await self.reader.readexactly(_LENGTH.size))
         if length > _LARGEST_FRAME:
             raise RejectedError("oversized")
         sealed = await self.reader.readexactly(length)
         body = self._keys.open(sealed, self._challenge + _NUMBER.pack(not self._is_relay, self._received))
         self._received += 1
-        return unpack(body)
+        return body
 
     def close(self) -> None:
         """Close the connection at once."""

@@ -23,6 +23,7 @@ from telenano_wide_area.relay.protocol import (
     SharedKeys,
     answer_bytes,
     parse_request,
+    raw_key,
     unpack,
 )
 from telenano_wide_area.sealed import MOST_BYTES, RejectedError
@@ -73,8 +74,11 @@ class Forwarder:
         """
         self.carried = 0
         self.refused: dict[str, int] = {}
+        # Takes each datagram for this machine itself, with the key of the end that sent it; None if it takes none.
+        self.deliver: Callable[[bytes, bytes], None] | None = None
         self.places: dict[Pair, Place] = {}
         self._by_address: dict[Address, Place] = {}
+        self._own_public = raw_key(own.public)
         self._own, self._is_allowed, self._budget_of, self._now_s = own, is_allowed, budget_of, now_s
         self._keys: dict[bytes, SharedKeys] = {}
         self._secret = os.urandom(32)
@@ -121,7 +125,8 @@ class Forwarder:
             if len(datagram) > MOST_BYTES:
                 raise RejectedError("oversized")
             other = self.places.get(place.pair[::-1])
-            if other is None:
+            is_own = self.deliver is not None and place.pair[1] == self._own_public
+            if other is None and not is_own:
                 raise RejectedError("alone")
             if not self._budget_of(place.pair[0]).take(len(datagram), self._now_s()):
                 raise RejectedError("budget")
@@ -129,7 +134,22 @@ class Forwarder:
             self.refused[error.cause] = self.refused.get(error.cause, 0) + 1
             return None
         self.carried += 1
-        return datagram, other.address
+        if other is not None:
+            return datagram, other.address
+        if self.deliver is not None:
+            self.deliver(place.pair[0], datagram)
+        return None
+
+    def send(self, public: bytes, datagram: bytes) -> bool:
+        """Send a datagram of this machine itself to an end that asked for it; return whether there is one."""
+        place = self.places.get((public, self._own_public))
+        if place is None or self._socket is None:
+            return False
+        try:
+            self._socket.sendto(datagram, place.address)
+        except OSError:
+            self.refused["send"] = self.refused.get("send", 0) + 1
+        return True
 
     def _read(self) -> None:
         assert self._socket is not None

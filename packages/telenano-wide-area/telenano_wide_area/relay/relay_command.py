@@ -1,5 +1,7 @@
 """`telenano relay`: a relay between two sites that can only dial out, or the end of one site alone."""
 
+import contextlib
+from collections.abc import AsyncIterator
 from typing import Annotated
 
 import typer
@@ -55,6 +57,13 @@ def relay(
 
 
 async def _serve(listen: str, mbit_per_s: float) -> None:
+    async with serving_relay(listen, mbit_per_s) as relay:
+        await relay.run()
+
+
+@contextlib.asynccontextmanager
+async def serving_relay(listen: str, mbit_per_s: float) -> AsyncIterator[Relay]:
+    """Yield a relay that listens at `HOST:PORT` and logs its key and who may use it; ConfigError for another form."""
     try:
         host, port = split_host_port(listen)
     except ValueError as error:
@@ -72,6 +81,6 @@ async def _serve(listen: str, mbit_per_s: float) -> None:
     for text in access.keyring.expiring():
         log.warning(text)
     try:
-        await relay.run()
+        yield relay
     finally:
         await relay.close()

@@ -9,6 +9,7 @@ import asyncio
 import contextlib
 import secrets
 from collections import Counter
+from collections.abc import AsyncIterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -299,23 +300,43 @@ class Relay:
             self._tell("streams", site.key, f"a connection of {site.name} is refused: {text}")
             await site.channel.send(refused="streams", text=text)
             return
-        number = secrets.token_hex(8)
-        handed: asyncio.Future[Channel] = asyncio.get_running_loop().create_future()
-        self._waiting[number] = (to, handed)
         self.streams[site.key] += 1
-        far = None
         try:
-            await self.sites[to].channel.send(open=number, source=site.key, port=port)
-            async with asyncio.timeout(_JOIN_S):
-                far = await handed
-            await site.channel.send(ok=True)
-            near = (site.channel.reader, site.channel.writer)
-            await splice(near, (far.reader, far.writer), self._budget("streams", site.key))
+            async with self.dialled(to, site.key, port) as (_, far):
+                await site.channel.send(ok=True)
+                near = (site.channel.reader, site.channel.writer)
+                await splice(near, (far.reader, far.writer), self._budget("streams", site.key))
         except (RejectedError, TimeoutError):
             await site.channel.send(refused="absent")
         finally:
-            del self._waiting[number]
             self.streams[site.key] -= 1
+
+    @contextlib.asynccontextmanager
+    async def dialled(self, to: str, source: str, port: int) -> AsyncIterator[tuple[str, Channel]]:
+        """Ask a connected site to dial; yield the number of the connection and its channel, which the block closes.
+
+        Args:
+            to: The key of the site, in hexadecimal.
+            source: The key of the machine that it is to be joined with.
+            port: The port of its node.
+
+        Raises:
+            RejectedError: `absent`: the site is not connected, or does not want to be joined.
+            TimeoutError: It has not dialled in time.
+        """
+        if to not in self.sites:
+            raise RejectedError("absent")
+        number = secrets.token_hex(8)
+        handed: asyncio.Future[Channel] = asyncio.get_running_loop().create_future()
+        self._waiting[number] = (to, handed)
+        far = None
+        try:
+            await self.sites[to].channel.send(open=number, source=source, port=port)
+            async with asyncio.timeout(_JOIN_S):
+                far = await handed
+            yield number, far
+        finally:
+            del self._waiting[number]
             if far is not None:
                 far.close()
 

@@ -8,7 +8,6 @@ sees encrypted CURVE connections only.
 import asyncio
 import contextlib
 import signal
-import time
 from collections.abc import Coroutine, Iterator, Mapping
 from concurrent.futures import Future
 from threading import Thread
@@ -16,41 +15,25 @@ from typing import Any
 
 from telenano.runtime import AccessControl, AddressBook, StructuredLog
 from telenano.wire import ConfigError, EndpointError
-from telenano_wide_area.relay.channel import CHUNK_BYTES, Channel, Gone, abort, dial, splice
-from telenano_wide_area.relay.protocol import RELAY, raw_key, relay_key, split_host_port
+from telenano_wide_area.relay.channel import CHUNK_BYTES, Channel, Gone, abort, splice
+from telenano_wide_area.relay.protocol import RELAY, raw_key, split_host_port
+from telenano_wide_area.relay.relay_client import AGAIN_S, RelayClient
 
-# The relay is pinged at this interval [s].
-_PING_S = 4.0
-# A relay that sends nothing for this time is lost [s].
-_SILENCE_S = 12.0
-# The relay is dialled again after this time, which doubles up to _AGAIN_MOST_S [s].
-_AGAIN_S = 0.5
-_AGAIN_MOST_S = 5.0
-# A site end that was replaced by another process dials again after this time [s].
-_REPLACED_S = 20.0
-# A lasting fault is reported again after this time [s].
-_REMIND_S = 60.0
 # A node that does not listen yet is tried for this time; the node that waits for it gives up a little later [s].
 _NODE_S = 3.0
 # The interval of these attempts [s].
 _NODE_AGAIN_S = 0.1
 # A node here that waits for one there gives up after 5 s and connects again; its connection is closed before that [s].
 _JOIN_S = 4.5
-_RELOAD_S = 0.5
 
 
-class SiteEnd:
+class SiteEnd(RelayClient):
     """The end of one machine."""
 
     def __init__(self, book: AddressBook, machine: str, access: AccessControl, log: StructuredLog) -> None:
         """Read the nodes to reach from the address book; ConfigError if the key of the relay is not listed."""
         assert book.relay is not None
-        assert access.own is not None
-        self._host, self._port = split_host_port(book.relay)
-        self._relay = book.relay
-        self._own = access.own
-        self._relay_key = raw_key(relay_key(access))
-        self._access, self._log = access, log
+        super().__init__(book.relay, access, log)
         ends = {
             node: _host_port(endpoint) for node in book.nodes if (endpoint := book.network_endpoint(node)) is not None
         }
@@ -59,13 +42,7 @@ class SiteEnd:
         self._there: Mapping[tuple[str, int], str] = {
             end: book.machine_of(node) for node, end in ends.items() if book.machine_of(node) != machine
         }
-        # The keys of the sites at the relay. This end listens for their nodes only; connections to the nodes of other
-        # sites are refused at once.
-        self._present: frozenset[str] = frozenset()
         self._servers: dict[tuple[str, int], asyncio.Server] = {}
-        self._tasks: set[asyncio.Task[None]] = set()
-        # The last log entry on the relay and on single connections, with its time [s].
-        self._reported: dict[str, tuple[str, float]] = {}
 
     async def run(self) -> None:
         """Listen, and keep the connection to the relay, until cancelled; EndpointError if a port cannot be bound."""
@@ -75,67 +52,9 @@ class SiteEnd:
             self._start(self._reload())
             await self._keep_connected()
         finally:
-            for task in list(self._tasks):
-                task.cancel()
+            self._end()
             for server in self._servers.values():
                 server.close()
-
-    async def _keep_connected(self) -> None:
-        wait_s = _AGAIN_S
-        while True:
-            began_s = time.monotonic()
-            try:
-                wait_s = await self._stay()
-            except Gone as error:
-                reason = str(error) or type(error).__name__
-                self._tell("warning", f"the relay {self._relay} cannot be reached or was lost: {reason}; trying again")
-            await self._see(frozenset())
-            lasted = time.monotonic() - began_s > _SILENCE_S
-            await asyncio.sleep(wait_s)
-            wait_s = _AGAIN_S if lasted else min(2.0 * wait_s, _AGAIN_MOST_S)
-
-    async def _stay(self) -> float:
-        """Keep one connection to the relay until it ends; return the wait before the next one [s]."""
-        meets = self._meets()
-        channel = await self._dial(want="site", meets=sorted(meets))
-        pinging = self._start(self._ping(channel))
-        try:
-            while True:
-                async with asyncio.timeout(_SILENCE_S):
-                    message = await channel.receive()
-                if self._meets() != meets:
-                    # The list of keys has changed, which the relay learns by a new connection.
-                    return 0.0
-                if "refused" in message:
-                    self._tell("error", f"the relay {self._relay} refuses this machine: {message.get('text')}")
-                    return _AGAIN_MOST_S
-                if "replaced" in message:
-                    self._tell("error", f"another process with the key of {self._access.machine} uses {self._relay}")
-                    return _REPLACED_S
-                if "ok" in message:
-                    self._tell("info", f"the relay {self._relay} is reached")
-                if isinstance(message.get("present"), list):
-                    await self._see(frozenset(map(str, message["present"])))
-                if "open" in message:
-                    self._start(self._accept(channel, message))
-        finally:
-            pinging.cancel()
-            channel.close()
-
-    async def _ping(self, channel: Channel) -> None:
-        with contextlib.suppress(*Gone):
-            while True:
-                await asyncio.sleep(_PING_S)
-                await channel.send(ping=True)
-
-    async def _reload(self) -> None:
-        """Reload the list of keys whenever it has changed."""
-        while True:
-            await asyncio.sleep(_RELOAD_S)
-            try:
-                self._access.reload()
-            except ConfigError as error:
-                self._log.error(f"the list of keys was not reloaded: {error}")
 
     def _meets(self) -> set[str]:
         """Return the keys of the other machines that have a valid one, in hexadecimal."""
@@ -202,7 +121,7 @@ class SiteEnd:
                 finally:
                     if channel is not None:
                         channel.close()
-                await asyncio.sleep(_AGAIN_S)
+                await asyncio.sleep(AGAIN_S)
 
     # --- from there to here ---
 
@@ -244,30 +163,6 @@ class SiteEnd:
                     return await asyncio.open_connection(self._bind, port, limit=CHUNK_BYTES)
                 except ConnectionRefusedError:
                     await asyncio.sleep(_NODE_AGAIN_S)
-
-    async def _dial(self, **request: Any) -> Channel:
-        return await dial(self._host, self._port, self._own, self._relay_key, request)
-
-    def _tell_of_end(self, error: Exception) -> None:
-        """Log that the relay ended a connection without an answer, as it does if there are too many."""
-        if isinstance(error, EOFError | ConnectionError) and self._present:
-            text = "has ended a connection without an answer; its own log says whether it refuses this address"
-            self._tell("warning", f"the relay {self._relay} {text}", "connection")
-
-    def _start(self, work: Any) -> "asyncio.Task[None]":
-        task = asyncio.get_running_loop().create_task(work)
-        # The event loop keeps weak references only.
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        return task
-
-    def _tell(self, level: str, text: str, about: str = "relay") -> None:
-        """Log a change about one matter; an unchanged text is repeated once a minute."""
-        now_s = time.monotonic()
-        last_text, reported_s = self._reported.get(about, ("", 0.0))
-        if text != last_text or now_s - reported_s >= _REMIND_S:
-            self._reported[about] = (text, now_s)
-            self._log.write(level, text)
 
 
 def _host_port(endpoint: str) -> tuple[str, int]:

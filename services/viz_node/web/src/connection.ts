@@ -1,6 +1,6 @@
 import type { Outcome } from "./answers";
 import { PROTOCOL, pack, read, type Answer, type Facts, type ServerFrame } from "./protocol";
-import type { FromSocket, ToSocket } from "./socket.worker";
+import type { Felt, FromSocket, ToSocket } from "./socket.worker";
 
 const FIRST_RETRY_MS = 300;
 const LONGEST_RETRY_MS = 3000;
@@ -19,6 +19,7 @@ export type LinkState = "connecting" | "open" | "lost" | "refused";
 export class Connection {
   onFrame: (frame: ServerFrame) => void = () => {};
   onState: (state: LinkState, text: string) => void = () => {};
+  onFelt: (felt: Felt) => void = () => {};
   private readonly worker = new Worker(new URL("./socket.worker.ts", import.meta.url), { type: "module" });
   private isOpen = false;
   private refusal = "";
@@ -33,6 +34,7 @@ export class Connection {
   ) {
     this.worker.onmessage = ({ data }: MessageEvent<FromSocket>) => {
       if (data.k === "frame") this.take(read(data.frame));
+      else if (data.k === "felt") this.onFelt(data.felt);
       else if (data.k === "open") this.greet();
       else this.lose();
     };

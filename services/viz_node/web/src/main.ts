@@ -77,10 +77,13 @@ connection.onState = (state, text) => {
   document.body.dataset["link"] = state;
   // what cannot be commanded any more looks it
   if (was === "open" && state !== "open") {
+    // the server has let go of it, and nothing presses again by itself once the page is back
+    cockpit.hand.letGo();
     built = "";
     begin();
   }
 };
+connection.onFelt = (felt) => (store.felt = { ...felt, at: performance.now() });
 connection.onFrame = (frame: ServerFrame) => {
   const begun = performance.now();
   if (frame.k === "snapshot") {

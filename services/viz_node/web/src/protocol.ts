@@ -171,12 +171,34 @@ export interface WayFrame {
   way_s: number | null;
 }
 
+/** The newest force that is felt [N] in answer to a frame of the hand, with its age at the rig [s], and the stamp of that frame. */
+export interface FeltFrame {
+  k: "felt";
+  force_n: number;
+  age_s: number;
+  number: number;
+  stamp_s: number;
+}
+
+/** What serves the page has datagrams: the path of their session, and the hash of a certificate that nobody vouches for. */
+export interface DatagramsFrame {
+  k: "datagrams";
+  path: string;
+  hash: Uint8Array;
+}
+
+/** A datagram that comes back as it was sent. */
+export interface ProbeFrame {
+  k: "probe";
+  stamp_s: number;
+}
+
 export interface Forms {
   k: "forms";
   forms: Facts;
 }
 
-export type ServerFrame = WayFrame | Forms | Tick | Snapshot | Answer | Refused | HandNotice;
+export type ServerFrame = FeltFrame | DatagramsFrame | ProbeFrame | WayFrame | Forms | Tick | Snapshot | Answer | Refused | HandNotice;
 
 export function read(frame: ArrayBuffer): ServerFrame {
   return decode(new Uint8Array(frame)) as ServerFrame;

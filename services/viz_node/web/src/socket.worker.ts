@@ -1,4 +1,5 @@
-import { pack, read } from "./protocol";
+import { Datagrams } from "./datagrams";
+import { pack, read, type FeltFrame } from "./protocol";
 import { Spring } from "./spring";
 
 /**
@@ -8,8 +9,15 @@ import { Spring } from "./spring";
 
 /** From the page: open a socket; send a frame; where the hand means to be [m], null to let go, and whether it is kept there. */
 export type ToSocket = { open: string } | { frame: Uint8Array<ArrayBuffer> } | { meant: number | null; across: [number, number] | null; isKept: boolean };
-/** To the page: the socket is open; a frame has come; the socket has closed. */
-export type FromSocket = { k: "open" } | { k: "frame"; frame: ArrayBuffer } | { k: "closed" };
+/** The newest force that is felt [N], its age here [s], the round trip of the frame that it answers [s], and whether by datagrams. */
+export interface Felt {
+  force_n: number;
+  age_s: number;
+  round_trip_s: number;
+  isDatagram: boolean;
+}
+/** To the page: the socket is open; a frame has come; what is felt; the socket has closed. */
+export type FromSocket = { k: "open" } | { k: "felt"; felt: Felt } | { k: "frame"; frame: ArrayBuffer } | { k: "closed" };
 
 const SEND_MS = 15;
 /** A page that holds control and was not heard for a second has lost it. */
@@ -41,9 +49,14 @@ function open(url: string): void {
   lease = 0;
   me = "";
   socket.onopen = () => tell({ k: "open" });
-  socket.onclose = () => tell({ k: "closed" });
+  socket.onclose = () => {
+    datagrams.close();
+    tell({ k: "closed" });
+  };
   socket.onmessage = ({ data }: MessageEvent<ArrayBuffer>) => {
     const frame = read(data);
+    if (frame.k === "felt") return feel(frame, false);
+    if (frame.k === "datagrams") return void datagrams.open(url, frame);
     spring.take(frame);
     if (frame.k === "way") {
       asked = [frame.stamp_s, performance.now()];
@@ -64,6 +77,17 @@ function here(): void {
   send(pack({ k: "here", ...way }));
 }
 
+const datagrams = new Datagrams((frame) => frame.k === "felt" && feel(frame, true));
+let newestFelt = 0;
+
+/** Take what is felt, of which the newest counts: half of the round trip is taken for its way here. */
+function feel({ force_n, age_s, number, stamp_s }: FeltFrame, isDatagram: boolean): void {
+  if (number <= newestFelt) return;
+  newestFelt = number;
+  const round_trip_s = performance.now() / 1e3 - stamp_s;
+  tell({ k: "felt", felt: { force_n, age_s: age_s + round_trip_s / 2, round_trip_s, isDatagram } });
+}
+
 /** Frames of the hand since the page was loaded. */
 let number = 0;
 
@@ -71,7 +95,9 @@ function push(): void {
   const force = spring.next(performance.now());
   if (force === undefined) return;
   const [across_x_n, across_y_n] = spring.acrossForce;
-  send(pack({ k: "hand", force_n: force ?? 0, across_x_n, across_y_n, held: force !== null, lease, number: ++number, stamp_s: performance.now() / 1e3 }));
+  const frame = pack({ k: "hand", force_n: force ?? 0, across_x_n, across_y_n, held: force !== null, lease, number: ++number, stamp_s: performance.now() / 1e3 });
+  // that the hand has let go must come, and a lost force is replaced by the next
+  if (force === null || !datagrams.send(frame)) send(frame);
 }
 
 function send(frame: Uint8Array<ArrayBuffer>): void {

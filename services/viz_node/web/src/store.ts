@@ -1,3 +1,4 @@
+import type { Felt } from "./socket.worker";
 import { Freshness, OLD_S, SLOW_OLD_S } from "./freshness";
 import type { Oscillation } from "./oscillation";
 import { Ring } from "./ring";
@@ -52,6 +53,8 @@ export class Store {
   age: NonNullable<Tick["age"]> = [];
   /** The way from the server to this page and back [s], NaN until it is known. */
   wayS = NaN;
+  /** What is felt in answer to the hand of this page, and when it came [ms]; undefined before the first. */
+  felt: (Felt & { at: number }) | undefined;
   /** Between two pictures that the server sends of the rig [s], NaN until it is known. */
   pictureS = NaN;
   /** Between two frames of this page, as requestAnimationFrame has them [s], NaN until it is known. */

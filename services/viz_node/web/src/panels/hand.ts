@@ -4,6 +4,7 @@ import { GapPicture } from "../gap";
 import { ageWords } from "../freshness";
 import { limitsOf, limitsText, travelText } from "../limits";
 import { fixed, forceText } from "../numbers";
+import type { Felt } from "../socket.worker";
 
 /** One unit for one quantity: a number that changes its prefix cannot be read at a glance. */
 const FACTS: readonly (readonly [name: string, stream: string, column: string, factor: number, unit: string])[] = [
@@ -14,6 +15,8 @@ const FACTS: readonly (readonly [name: string, stream: string, column: string, f
 ];
 const AFM = "afm/state/slave";
 const HAND = "haptic/state/master";
+/** For so long after the last answer to the hand its age is shown [ms]. */
+const FELT_MS = 1000;
 const FORCE_TITLE = "You feel";
 
 /** What the hand presses with and what comes back, large; hand and tip side by side; and the tip in numbers. */
@@ -27,6 +30,8 @@ export class HandPanel implements Panel {
   /** What hand and tip are kept from going beyond, and what the hand has left of its travel. */
   private readonly limits = make("p", { id: "limits", class: "warning", role: "status", hidden: true });
   private limitsBefore = "";
+  /** How old the force is that this page is told in answer to its hand, and by which way. */
+  private readonly age = make("p", { id: "felt-age", class: "quiet", hidden: true });
   private readonly travel = make("span", { id: "travel", class: "quiet" });
   /** What is made of each stream: grey, with its age, where that is not of the present. */
   private readonly made: [element: HTMLElement, stream: string, age: HTMLElement][];
@@ -55,6 +60,7 @@ export class HandPanel implements Panel {
       make("div", { class: "figures" }, make("div", { class: "numbers" }, own, felt), numbers),
       make("div", { class: "pictures" }, titled("Hand", hand.pad, "hand", this.travel), titled("Tip over the sample", this.gap.root, "tip")),
       this.limits,
+      this.age,
       this.control,
     );
   }
@@ -96,6 +102,9 @@ export class HandPanel implements Panel {
       this.limits.hidden = limits === "";
     }
     this.limitsBefore = limits;
+    const age = feltAge(store.felt, performance.now());
+    show(this.age, age);
+    this.age.hidden = age === "";
     for (const [element, stream, of] of this.made) {
       const isOld = store.isPictureOld || store.isOld(stream);
       element.toggleAttribute("data-old", isOld);
@@ -103,6 +112,12 @@ export class HandPanel implements Panel {
       if (isOld) show(of, `${ageWords(Math.max(store.pictureAge, store.age_s(stream) || 0))} old`);
     }
   }
+}
+
+/** Say how old the force is that answers the hand of this page, and by which way it came; nothing where none has come just now [ms]. */
+export function feltAge(felt: (Felt & { at: number }) | undefined, now: number): string {
+  if (!felt || now - felt.at > FELT_MS) return "";
+  return `The force is ${Math.round(1e3 * felt.age_s)} ms old, by ${felt.isDatagram ? "datagrams" : "the web socket"}`;
 }
 
 /** Say which channel is felt in the place of the force, and what limits it; nothing where the force is felt. */
