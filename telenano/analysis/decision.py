@@ -36,7 +36,6 @@ from telenano.analysis.verdict_thresholds import (
     ERROR_SHARE,
     LEAST_CHANGE,
     LEAST_TURNS,
-    LIKELY_ERRORS,
     SMALL_SHARE,
     SURE_ERRORS,
 )
@@ -58,8 +57,6 @@ def decide(motion: Motion) -> Finding:
     | decide                                         | is not looked at                                | what they say |
     | are in doubt, and their fit may be wrong       | moves or dies out, and is mostly of that motion | the envelope  |
     | are in doubt otherwise                         | is anything                                     | the doubt     |
-    | explain nothing, and the largest seems to fall | goes on                                         | a doubt       |
-    | explain nothing, and a swing in them lasts     | dies out, and is less than twice that swing     | a doubt       |
     | explain nothing, and a swing in them may last  | is at rest, and would not show that swing       | a doubt       |
     | explain nothing                                | is anything else                                | the envelope  |
     """
@@ -72,17 +69,9 @@ def decide(motion: Motion) -> Finding:
 def _in_doubt(motion: Motion, doubt: "Doubt | None", parts: list[Window]) -> Finding:
     """Return what the envelope says of a motion that no modes decide."""
     envelope = by_envelope(motion)
-    seems_to_fall = envelope.kind == "limit_cycle" and _seems_to_fall(parts)
     if doubt is not None:
-        return doubt.found if seems_to_fall or not _settles(envelope, doubt) else envelope
-    if seems_to_fall or _swings_in(envelope, parts):
-        return envelope._replace(kind="cannot_say", cause=Cause.IRREGULAR_UNKNOWN)
+        return envelope if _settles(envelope, doubt) else doubt.found
     return _hidden_in(envelope, parts, motion) or envelope
-
-
-def _swings_in(envelope: Finding, parts: list[Window]) -> bool:
-    """Return whether most of an envelope that dies out is a swing that lasts."""
-    return envelope.cause is Cause.DIES_OUT and _lasting(parts, MAY_LAST[:1])[0] > 0.5 * envelope.size_n
 
 
 def _hidden_in(envelope: Finding, parts: list[Window], motion: Motion) -> Finding | None:
@@ -239,7 +228,7 @@ def _of_part(motion: Motion, window: Window) -> Finding | None:
     found = decided_by_modes(window)
     if found.kind != "stable" and leaves_noise(window) and cancels(window):
         return None
-    if _is_open(found, window) and not (fits_to_the_end(window) and _falls_to_the_end(found, window, motion)):
+    if _is_open(found, window) and not fits_to_the_end(window):
         return None
     gone_n = gone_of(window.values) if found.kind == "stable" and not window.fit.modes else 0.0
     if gone_n > max(ERROR_SHARE * motion.hand_n, _WAY_OVER_LEFT * rms(window.fit.left)):
@@ -250,18 +239,6 @@ def _of_part(motion: Motion, window: Window) -> Finding | None:
     if found.kind == "stable" and len(window.values) == len(motion.values):
         return _swing_at_the_end(motion, window) or found
     return found
-
-
-def _falls_to_the_end(found: Finding, window: Window, motion: Motion) -> bool:
-    """Return whether a motion that dies out, and is still large, is smaller at its end than before.
-
-    Modes that all die out may cancel one another before, so that their sum grows.
-    """
-    turns = turns_of(window.values)
-    if found.kind != "stable" or turns < 2.0 * LEAST_TURNS or (leaves_noise(window) and not cancels(window)):
-        return True
-    sizes = envelope_of(window.values, motion, turns)
-    return sizes[-1] < min(sizes[0], sizes[WINDOWS // 2])
 
 
 def _may_be_wrong(found: Finding, window: Window) -> bool:
@@ -357,18 +334,6 @@ def _lasting(parts: list[Window], fates: tuple[Fate, ...]) -> tuple[float, float
     large = [(mode, own) for mode, own in swings if min(mode.end_n, float(np.ptp(own.last))) > own.unrounded_n]
     lasting = [mode for mode, own in large if classify(mode, own) in fates]
     return max(((mode.end_n, mode.frequency_hz) for mode in lasting), default=(0.0, 0.0))
-
-
-def _seems_to_fall(parts: list[Window]) -> bool:
-    """Return whether the largest swing of a part that is explained becomes smaller, by however little, as it seems."""
-    for own in parts:
-        large = max(own.fit.modes, key=lambda mode: mode.end_n, default=None)
-        if large is None or large.frequency_hz * own.length_s < 2.0 * LEAST_TURNS or large.end_n <= own.small_n:
-            continue
-        falls = large.growth_per_s + LIKELY_ERRORS * large.error_per_s < 0.0
-        if falls and explains(own, own.unrounded_n / SMALL_SHARE):
-            return True
-    return False
 
 
 def approaching(found: Finding, values: Series, rest_n: float) -> Finding:

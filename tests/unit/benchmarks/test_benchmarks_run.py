@@ -21,6 +21,7 @@ BOUNDS: dict[str, dict[str, tuple[float, float]]] = {
         "axes.*.rows.*.rig_percent": (5.0, 400.0), "axes.*.rows.*.rig_mb": (100.0, 1e4),
     },
     "haptic_devices.py": {"cases.*.p50_ms": (0.05, 500.0), "cases.*.p50_ratio": (0.2, 20.0)},
+    "judging.py": {"*.holds": (2, 2), "*.s_per_s": (1e-5, 0.5), "*.most_mb": (0.01, 50.0)},
     "late_cycles.py": {
         "rows.*.cycles": (1000, 10_000), "rows.*.median_ms": (0.0, 500.0), "rows.*.late_in_million": (0.0, 1e6),
         "rows.*.runs_in_million.high": (100.0, 1e6), "rows.5.burner_percent": (0.5, 110.0),

@@ -6,13 +6,14 @@ repetitions of the whole set. Sessions are repetitions if their scenarios differ
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from telenano.analysis import half_width, wilson
 from telenano.settings import flatten
 
 CONFIDENCE = 0.95
+HELD = "stable"
 _NAMES = ("name", "description")
 # The storage and display of a session do not change it.
 _SECTIONS = ("recorder", "viz_node")
@@ -49,6 +50,32 @@ def statistic(values: Sequence[float]) -> Statistic:
 def share(count: int, of: int) -> Statistic:
     """Return the statistic of a share, 0 <= count <= of, of > 0; it has no deviation."""
     return Statistic(of, count / of, None, *wilson(count, of))
+
+
+class Held(NamedTuple):
+    """The number of runs, of those that were held, and the interval of their share [1]."""
+
+    runs: int
+    held: int
+    low: float
+    high: float
+
+    @property
+    def share(self) -> float:
+        """The share of the runs that were held [1]; 0 of none."""
+        return self.held / self.runs if self.runs else 0.0
+
+
+def held_of(verdicts: Iterable[str]) -> Held:
+    """Return how many of the runs with these verdicts were held, which is the share that every table states.
+
+    A run is held if it came to rest at the intended force without being struck. One that no verdict describes, because
+    a guard ended it or its data decide nothing, was run and not held: left out, it would make a law look safer where
+    its runs end early.
+    """
+    known = list(verdicts)
+    held = sum(verdict == HELD for verdict in known)
+    return Held(len(known), held, *wilson(held, len(known)))
 
 
 def conditions_of(scenario: Mapping[str, Any]) -> dict[str, Any]:
@@ -88,8 +115,9 @@ def statistics_of(rows: Sequence[Mapping[str, Any]], scenarios: Sequence[Mapping
     for group, conditions in zip(groups, known, strict=True):
         named = {key: conditions.get(key) for key in distinct}
         members = [rows[place] for place in group]
-        stable = sum(row["verdict"] == "stable" for row in members)
-        conditions_of_group.append({**named, "figure": "share that is stable", **share(stable, len(members))._asdict()})
+        held = held_of(row["verdict"] for row in members)
+        told = share(held.held, held.runs)._asdict()
+        conditions_of_group.append({**named, "figure": "share that is stable", **told})
         for figure in members[0]:
             values = [row[figure] for row in members if _is_number(row[figure])]
             if values:

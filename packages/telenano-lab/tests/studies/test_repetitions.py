@@ -6,8 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from telenano_lab.studies.repetitions import CONFIDENCE, repetitions, share, statistic, statistics_of
+from telenano_lab.studies.repetitions import CONFIDENCE, held_of, repetitions, share, statistic, statistics_of
 from telenano_lab.studies.table_files import table_files
+
+from telenano.analysis import wilson
 
 
 def test_the_statistic_of_numbers_is_that_of_student() -> None:
@@ -75,3 +77,11 @@ def test_a_table_is_the_same_in_every_format(tmp_path: Any) -> None:
     assert table["hold_ratio"].tolist() == [1.05, 1.1]
     assert list(table["session"]) == ["a", "b"]
     assert np.isnan(table["loop_age_ms"]).all()
+
+
+def test_a_run_that_no_verdict_describes_was_run_and_not_held() -> None:
+    for verdict in ("cannot_say", "guarded", "no_data", "contact_lost", "diverged", "limit_cycle"):
+        found = held_of(["stable", verdict, "stable", verdict])
+        assert (found.runs, found.held, found.share) == (4, 2, 0.5), verdict
+        assert (found.low, found.high) == wilson(2, 4)
+    assert held_of([]).share == 0.0

@@ -7,8 +7,8 @@ import numpy as np
 
 from telenano.wire import ConfigError, known_names
 from telenano_lab.experiments.benchmark.kept import Kept, chosen, differences
-from telenano_lab.experiments.benchmark.results import HELD
 from telenano_lab.experiments.benchmark.run import Outcome
+from telenano_lab.studies.repetitions import held_of
 
 CELL_HEAD = ("run", "verdict kept", "verdict now", "tracking error kept", "now", "least energy kept [mJ]", "now [mJ]",
              "differs in")  # fmt: skip
@@ -81,8 +81,8 @@ def compared(before: Sequence[Outcome], again: Sequence[Outcome], digest: str) -
         "digest": digest,
         "runs": len(before),
         "different": different,
-        "held_kept": sum(one.verdict in HELD for one in before),
-        "held_now": sum(one.verdict in HELD for one in again),
+        "held_kept": held_of(one.verdict for one in before).held,
+        "held_now": held_of(one.verdict for one in again).held,
         "rows": records,
     }
     return summary, rows

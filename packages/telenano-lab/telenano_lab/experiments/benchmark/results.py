@@ -16,9 +16,8 @@ from telenano.analysis import wilson
 from telenano.settings import profile_named
 from telenano_lab.experiments.benchmark.plan import LINES, SAMPLES, STEADINESS, TASKS, VERSION, Plan, Run
 from telenano_lab.experiments.benchmark.run import MEASURES, Outcome, rounded
+from telenano_lab.studies.repetitions import HELD, held_of
 
-# A run is held if it came to rest at the intended force without being struck.
-HELD = ("stable",)
 # Energy below this was made by the loop, and not by rounding [mJ].
 LEAST_MJ = -1e-3
 
@@ -148,8 +147,8 @@ def _row(case: Of, law: str, some: Sequence[Outcome]) -> Row[Of]:
     verdicts: dict[str, int] = {}
     for outcome in some:
         verdicts[outcome.verdict] = verdicts.get(outcome.verdict, 0) + 1
-    held = [outcome for outcome in some if outcome.verdict in HELD]
-    low, high = wilson(len(held), len(some))
+    held = [outcome for outcome in some if outcome.verdict == HELD]
+    _, _, low, high = held_of(outcome.verdict for outcome in some)
     made = sum(map(_made_energy, some))
     sound = sum(not _made_energy(outcome) for outcome in held)
     # Measures of runs that were not held are meaningless: force and position have not settled.

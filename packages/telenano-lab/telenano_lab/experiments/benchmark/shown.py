@@ -4,7 +4,7 @@
         packages/telenano-lab/telenano_lab/experiments/benchmark/shown.json
 
 A cell is a law over a network on a sample with an instrument; its runs are those of all hands. A run that the
-instrument's guard ended before its judged part says nothing about the law: it is counted separately.
+instrument's guard ended before its judged part was not held; how many these are is counted as well.
 
 The loop is closed by the newest message, so a line is described by its effect on a law: by the age of the hand's sample
 to which the newest answer responds, which `law/status` of a running rig reports by the same definition. A sample is
@@ -23,13 +23,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from telenano.analysis import wilson
 from telenano.lockstep import Schedule
 from telenano.settings import LinkSettings
 from telenano_lab.experiments.benchmark.plan import SEEDS, TASKS, VERSION, Run, is_random
-from telenano_lab.experiments.benchmark.results import HELD, digest_of
+from telenano_lab.experiments.benchmark.results import digest_of
 from telenano_lab.experiments.benchmark.run import course_of
 from telenano_lab.studies.option_values import disturbances_of
+from telenano_lab.studies.repetitions import HELD, held_of
 
 # Duration of a line's simulation for each seed of the benchmark [s].
 _LINE_S = 20.0
@@ -45,8 +45,8 @@ _ABOUT = (
     "Made by `python -m telenano_lab.experiments.benchmark.shown RUNS.CSV SHOWN.JSON`; digest is that of runs.csv. "
     "A line has the mean age of the sample that the newest answer descends from, and by how much 95 % of these "
     "ages are at most above their median [ms]. The stiffness is the slope of force over base. low and high are the "
-    "95 % interval of the share held (Wilson); guarded runs were ended by the instrument's guard before the law was "
-    "judged, and are not among the runs."
+    "95 % interval of the share held (Wilson); guarded runs are those of them that the instrument's guard ended before "
+    "the law was judged."
 )
 
 
@@ -137,7 +137,7 @@ def _law_of(rows: Sequence[Mapping[str, str]]) -> dict[str, Any]:
     for row in rows:
         place = row["network"], stiffness_of(row["task"]), _drift_of(row["instrument"])
         grouped.setdefault(place, []).append(row)
-    errors = [float(row["tracking_error"]) for row in rows if row["verdict"] in HELD and row["tracking_error"]]
+    errors = [float(row["tracking_error"]) for row in rows if row["verdict"] == HELD and row["tracking_error"]]
     return {
         "tracking_error": round(statistics.median(errors), 4) if errors else None,
         "cells": [list(_row(place, some)) for place, some in sorted(grouped.items())],
@@ -146,8 +146,7 @@ def _law_of(rows: Sequence[Mapping[str, str]]) -> dict[str, Any]:
 
 def _row(place: tuple[str, float, float], some: Sequence[Mapping[str, str]]) -> _Row:
     guarded = sum(row["verdict"] == _GUARDED for row in some)
-    held, runs = sum(row["verdict"] in HELD for row in some), len(some) - guarded
-    low, high = wilson(held, runs)
+    runs, held, low, high = held_of(row["verdict"] for row in some)
     return _Row(*place, runs, held, round(low, 3), round(high, 3), guarded)
 
 

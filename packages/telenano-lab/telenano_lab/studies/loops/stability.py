@@ -16,7 +16,7 @@ from telenano_lab.studies.loops.linear_cells import linear_loop, not_linear
 from telenano_lab.studies.loops.sweep import Sweep
 from telenano_lab.studies.loops.theory import loop_model
 from telenano_lab.studies.option_values import Jitter
-from telenano_lab.studies.repetitions import Statistic, statistic
+from telenano_lab.studies.repetitions import Statistic, held_of, statistic
 
 
 class Axes(Conditions):
@@ -197,7 +197,7 @@ def _over_seeds(draws: Sequence[LineResult]) -> LineResult:
         critical_delay_ms=statistic(whole).mean if whole else None,
         critical_link_ms=statistic(edges).mean if edges else None,
         seeds=statistic(edges) if edges else None,
-        stable_shares=tuple(sum(cell.verdict == "stable" for cell in cells) / len(cells) for cells in columns),
+        stable_shares=tuple(held_of(cell.verdict for cell in cells).share for cells in columns),
     )
 
 
