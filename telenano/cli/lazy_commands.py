@@ -90,7 +90,7 @@ GROUPS = {
     "Record and report": ("record", "bag", "report", "budget", "compare"),
     "Study": ("experiment", "study", "benchmark", "law", "curve", "scan", "sample", "particles", "push", "assemble",
               "calibrate", "reproduce"),
-    "Set up": ("scenario", "param", "new", "device", "keys", "relay", "doctor", "conformance"),
+    "Set up": ("scenario", "param", "new", "device", "keys", "relay", "gateway", "doctor", "conformance"),
 }  # fmt: skip
 # `--help` lists these, which are enough to begin with, and `--help-all` lists every command.
 FIRST_COMMANDS = ("up", "simulate", "session", "estop", "replay", "status", "view", "link", "bag", "experiment",

@@ -43,6 +43,7 @@ KNOWN_PACKAGES = {
     "command link udp": "telenano-lab",
     "command particles": "telenano-lab",
     "command push": "telenano-lab",
+    "command gateway": "telenano-wide-area[gateway]",
     "command relay": "telenano-wide-area",
     "command reproduce": "telenano-lab",
     "command sample": "telenano-lab",

@@ -185,6 +185,7 @@ OF_A_RIG: Mapping[str, str] = {
     "node": "is a process of a rig, and has no options",
     "record": "records a running rig; tests/stack and tests/unit/recorder",
     "replay": "plays into a running rig; tests/stack/test_replay_into_rig.py and tests/unit/player",
+    "gateway": "serves pages and joins rigs until it is ended; tests/stack/test_gateway_page.py",
     "relay": "forwards what two sites send until it is ended; tests/stack/test_relay.py",
     "law by-line": "changes the law of a running rig; packages/telenano-laws/tests/test_by_line.py",
     "conformance": "examines a running client; tests/unit/testing/test_conformance.py",

@@ -19,6 +19,7 @@ from telenano.cli.commands.device import package_rows
 from telenano.devices.afm.instrument import calibration_of_file
 from telenano.launcher.plan import Plan, UpRequest, make_plan
 from telenano.sections import afm_section as afm
+from telenano.sections import hand_section as hand
 from telenano.sections.surface_files import read_surface
 from telenano.settings import plugins
 from telenano.settings.config import validate
@@ -68,7 +69,8 @@ def bare(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Let no package be installed."""
     for module in ("telenano.settings.plugins", "telenano.settings.device_drivers"):
         monkeypatch.setattr(f"{module}.installed", lambda kind: {})
-    monkeypatch.setattr(afm.DRIVERS, "_asked", {})
+    for drivers in (afm.DRIVERS, hand.DRIVERS):
+        monkeypatch.setattr(drivers, "_asked", {})
     yield
 
 
